@@ -18,6 +18,7 @@ from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess
 from omnisyn_cli.fusion.photometry import (
     ExposureCurve,
     ExposureMatcher,
+    confirmed_curve,
     darken_to_match,
     estimate_curve,
     rough_exposure_curve,
@@ -68,7 +69,8 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
     """Both views with one exposure, so that depth can be found in them; the same objects if they have one already.
 
     If their brightness differs, rough depth tells which pixels show the same points. It comes from the census alone,
-    which does not depend on exposure. The colours of these pixels then tell whether the exposure differed.
+    which does not depend on exposure. The colours of these pixels then tell whether the exposure differed. Rough depth
+    may be wrong, so what the pixels around one panorama say has to hold around the other one.
     """
     if rough_exposure_curve(first, second).is_identity or at_same_position(first.pose, second.pose):
         return first, second
@@ -77,7 +79,7 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
     options = MatchingOptions(size=EXPOSURE_DEPTH_SIZE, colour_weight=0.0, clipped_colour_weight=0.0)
     views = (first, second)
     crossed, *_ = _render_crosswise(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
-    return darken_to_match(first, second, _exposure_curve(crossed), threads)
+    return darken_to_match(first, second, confirmed_curve(_common_samples(crossed)), threads)
 
 
 def cross_check(
@@ -198,10 +200,13 @@ def _render_half_way(small_views: tuple[View, View], renderers: list[Renderer]) 
 
 def _exposure_curve(crossed: list[tuple[Layer, Layer]]) -> ExposureCurve:
     """From all pixels of both photographs that the other view shows as well."""
-    (a_own, a_other, a_weight), (b_own, b_other, b_weight) = (_common_colours(own, other) for own, other in crossed)
-    return estimate_curve(
-        np.concatenate([a_own, b_other]), np.concatenate([a_other, b_own]), np.concatenate([a_weight, b_weight])
-    )
+    return estimate_curve(*(np.concatenate(values) for values in zip(*_common_samples(crossed), strict=True)))
+
+
+def _common_samples(crossed: list[tuple[Layer, Layer]]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """At each panorama: what the first and the second view show in common, and the weight of each sample."""
+    at_first, (own, other, weight) = (_common_colours(*layers) for layers in crossed)
+    return [at_first, (other, own, weight)]
 
 
 def _common_colours(own: Layer, other: Layer) -> tuple[Float32[np.ndarray, "samples 3"], np.ndarray, np.ndarray]:

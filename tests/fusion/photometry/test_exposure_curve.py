@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from omnisyn_cli.fusion.photometry.exposure_curve import (
     KNOTS,
     ExposureCurve,
+    confirmed_curve,
     estimate_curve,
     estimate_gain,
     linear_to_srgb,
@@ -78,6 +79,19 @@ def test_pictures_of_different_things_are_left_alone() -> None:
     first = colours()
     for second in (colours(7), 1 - first, np.zeros_like(first), np.ones_like(first)):
         assert estimate_curve(first, second, np.ones(COUNT)).is_identity
+
+
+def test_a_curve_that_fits_samples_of_different_places_is_not_confirmed() -> None:
+    """Samples that have nothing in common but their brightness have a curve; true ones have it in both halves."""
+    first, weight = colours(most=0.5), np.ones(COUNT)
+    second = exposed(colours(1, most=0.5), 2.0)
+    assert not estimate_curve(first, second, weight).is_identity
+    assert confirmed_curve([(first, second, weight)] * 2).is_identity
+    first = colours()
+    true = (first, in_eight_bits(exposed(first, 0.5)), weight)
+    np.testing.assert_allclose(confirmed_curve([true, true]).gain[:, 3], 0.5, atol=0.05)
+    assert confirmed_curve([true, (first, first, weight)]).is_identity
+    assert confirmed_curve([tuple(x[:0] for x in true)] * 2).is_identity
 
 
 def test_without_samples_or_weight_nothing_changes() -> None:

@@ -17,10 +17,11 @@ medicine, 1983), and makes the fit symmetric in the two pictures.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 SRGB_LINEAR_LIMIT = 0.04045
 SRGB_LINEAR_SLOPE = 12.92
@@ -52,6 +53,16 @@ MAX_UNEXPLAINED_SHARE = 0.9
 
 MAX_OUTLIER_STOPS = 2.0
 """Differences count as this at most when a curve is judged: moving things may differ by any amount. Set by hand."""
+
+INLIER_STOPS = 0.15
+"""A sample agrees with a curve if it leaves at most this difference. Set by hand."""
+
+MIN_INLIER_EXCESS = 0.18
+"""Share of inliers beyond chance, of all that chance leaves (Cohen's kappa). On wide generated pairs, curves from right
+depth reach 0.2 to 0.9, and curves from wrong depth 0.16 in one of the halves."""
+
+MIN_INLIER_GAIN = 0.1
+"""By how much a curve has to raise the share of inliers. On the same pairs, right curves raise it by 0.11 or more."""
 
 MIN_ROUGH_GAIN_STOPS = 0.25
 """What moving a few metres may change in the distribution of a picture's values. Set by hand."""
@@ -136,6 +147,52 @@ def estimate_curve(
     return ExposureCurve(_limit_slope(np.stack([fit.gain for fit in fits])))
 
 
+def confirmed_curve(
+    samples: Sequence[tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"], np.ndarray]],
+) -> ExposureCurve:
+    """The curve of all samples; zero unless the curve of each half holds in the other half.
+
+    Wrong depth pairs different places, and a curve fits these as well. But then few samples agree with it.
+
+    Args:
+        samples: two halves, each as the arguments of :func:`estimate_curve`.
+    """
+    for half, other in (samples, samples[::-1]):
+        inliers, without, by_chance = _inlier_shares(estimate_curve(*half), *other)
+        excess = (inliers - by_chance) / max(1.0 - by_chance, 1e-9)
+        if excess < MIN_INLIER_EXCESS or inliers < without + MIN_INLIER_GAIN:
+            return ExposureCurve(np.zeros((3, len(KNOTS))))
+    return estimate_curve(*(np.concatenate(values) for values in zip(*samples, strict=True)))
+
+
+def _inlier_shares(
+    curve: ExposureCurve, first: np.ndarray, second: np.ndarray, weight: np.ndarray
+) -> tuple[float, float, float]:
+    """Shares of the usable samples that a curve explains, that no curve explains, and that it explains by chance.
+
+    Chance pairs each sample of the first picture with any sample of the second. Shares are means over the channels.
+    """
+    shares = np.zeros((3, 3))
+    for k in range(3):
+        before, after, usable = _usable_stops(first[:, k], second[:, k], weight)
+        shuffled = np.random.default_rng(0).permutation(after)
+        for of_case, gain, now in ((0, curve.gain[k], after), (1, 0.0 * KNOTS, after), (2, curve.gain[k], shuffled)):
+            left = now - before - np.interp(0.5 * (before + now), KNOTS, gain)
+            shares[of_case, k] = np.average(np.abs(left) < INLIER_STOPS, weights=weight[usable]) if len(left) else 0.0
+    with_curve, without, by_chance = shares.mean(axis=1)
+    return float(with_curve), float(without), float(by_chance)
+
+
+def _usable_stops(
+    first: np.ndarray, second: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " samples"]]:
+    """Stops of the samples of one channel that are neither too dark nor clipped; and which ones these are."""
+    low, high = USABLE_SRGB
+    usable = (np.minimum(first, second) > low) & (np.maximum(first, second) < high) & (weight > 0.0)
+    before, after = (np.log2(srgb_to_linear(x[usable].astype(np.float64))) for x in (first, second))
+    return before, after, usable
+
+
 @dataclass(frozen=True)
 class _ChannelFit:
     """One channel's gain at the knots, and how good it is.
@@ -174,13 +231,11 @@ def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray
 
 
 def _fit_channel(first: np.ndarray, second: np.ndarray, weight: np.ndarray) -> _ChannelFit:
-    low, high = USABLE_SRGB
     nothing = _ChannelFit(np.zeros(len(KNOTS)), 0.0, 0.0, 0.0)
-    usable = (np.minimum(first, second) > low) & (np.maximum(first, second) < high) & (weight > 0.0)
+    before, after, usable = _usable_stops(first, second, weight)
     if float(weight[usable].sum()) <= MIN_USABLE_SHARE * float(weight.sum()):
         return nothing
     srgb = [x[usable].astype(np.float64) for x in (first, second)]
-    before, after = (np.log2(srgb_to_linear(x)) for x in srgb)
     visible = weight[usable] * (srgb[0] + srgb[1]) ** 2  # a stop changes an sRGB value in proportion to it
     levels, changes = 0.5 * (before + after), after - before
     level, median, share = _median_gains(levels, changes, visible / visible.sum())
