@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ import OpenImageIO
 from jaxtyping import Shaped
 
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.io.colour import ColourProfile, parse_profile
+from omnisyn_cli.io.heif import AVIF_SUFFIX, HEIC_SUFFIXES, png_of
 
 __all__ = ["MAX_PIXELS", "ImageHeader", "check_is_file", "read_header"]
 
@@ -34,6 +36,8 @@ MAX_COMPLAINT_CHARS = 500
 
 BELOW_ZERO_ALTITUDE_REFS = (1, 3)
 """Values of EXIF's GPSAltitudeRef that mean below sea level and below the ellipsoid."""
+
+LINEAR_FORMATS = ("openexr", "hdr")
 
 HARMLESS_COMPLAINTS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
@@ -86,6 +90,17 @@ class ImageHeader:
     attributes: Mapping[str, Any]
 
     @property
+    def is_linear(self) -> bool:
+        """Whether samples are linear light, as OpenEXR and Radiance HDR have it."""
+        return self.format in LINEAR_FORMATS
+
+    @property
+    def colour_profile(self) -> ColourProfile | None:
+        """The embedded ICC profile, if its colours are others than sRGB's."""
+        data = self.attributes.get("ICCProfile")
+        return None if data is None else parse_profile(bytes(np.asarray(data, np.uint8)))
+
+    @property
     def altitude(self) -> float | None:
         """Metres of EXIF's GPS altitude, negative below the sea level or the ellipsoid; None without one."""
         metres = self.number("GPS:Altitude")
@@ -130,7 +145,10 @@ def decode_image(
     ImageError: missing, empty, not an image, larger than ``max_pixels``, truncated or damaged.
     """
     source = Path(path)
-    with _opened(source) as (header, reader):
+    if _is_heif(source):  # its size is known before any pixel is decoded
+        first = read_header(source)
+        check_pixel_count(source, first.height, first.width, max_pixels)
+    with _opened(source, with_pixels=True) as (header, reader):
         check_pixel_count(source, header.full_height, header.full_width, max_pixels)
         check_pixel_count(source, header.height, header.width, max_pixels)
         samples, most = header.height * header.width * len(header.channels), MAX_SAMPLES_PER_PIXEL * max_pixels
@@ -166,9 +184,19 @@ def check_pixel_count(path: Path, height: int, width: int, max_pixels: int) -> N
         )
 
 
+def _is_heif(path: Path) -> bool:
+    return path.suffix.lower() in (*HEIC_SUFFIXES, AVIF_SUFFIX)
+
+
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[ImageHeader, Any]]:
+def _opened(path: Path, *, with_pixels: bool = False) -> Iterator[tuple[ImageHeader, Any]]:
+    """Header and reader of a file; without pixels where nobody is going to read them and that saves time."""
     check_is_file(path)
+    if _is_heif(path):
+        with png_of(path, with_pixels=with_pixels) as (png, (height, width)), _opened(png) as (header, reader):
+            size = {"height": height, "width": width, "full_height": height, "full_width": width}
+            yield replace(header, path=path, format=path.suffix.lower().lstrip("."), **size), reader
+        return
     config = OpenImageIO.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
     reader = OpenImageIO.ImageInput.open(str(path), config)

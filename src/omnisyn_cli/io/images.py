@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
-from omnisyn_cli.io.placement import TRANSPOSING_ORIENTATIONS, Placement, placement_of
+from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
 
 __all__ = ["INTEGER_PEAKS", "check_mask_size", "read_panorama", "sphere_size", "usable_part"]
 
@@ -26,6 +27,21 @@ MIN_PANORAMA_HEIGHT = 2
 MIN_USABLE_ALPHA = 0.5
 """Pixels that are less opaque than this are not usable."""
 
+LAYOUT_ROWS = 128
+"""Rows that are looked at to tell what a picture of unusual shape shows."""
+
+MIN_FRAME_WIDTH = 128
+"""Pixels of the narrowest video frame: a pixel more or less of its height is no other shape."""
+
+MIN_STEREO_CORRELATION = 0.7
+"""Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand."""
+
+MAX_SEAM_STEP = 2.0
+"""By how much more than columns 1/64 of the width apart the first and the last column of a sphere differ."""
+
+MAX_POLE_SHARE = 0.5
+"""Of the contrast of a sphere's rows that its first and last row have, each of which shows one point. Set by hand."""
+
 
 @dataclass(frozen=True)
 class Panorama:
@@ -35,7 +51,8 @@ class Panorama:
         image: ``(height, width, 3)`` RGB in [0, 1], width = 2·height; floating-point files may exceed 1.
         mask: ``(height, width)``, True where the image is usable; None means everywhere.
         original: ``(height, width, 3)`` uint8 or uint16 with exactly the samples of the file, upright and completed
-            like ``image``; None for floating-point files and where samples had to be resampled or divided by alpha.
+            like ``image``, or reduced and converted to sRGB; None for floating-point files and where samples had to be
+            stretched or divided by alpha.
         path: the file it came from.
     """
 
@@ -45,31 +62,47 @@ class Panorama:
     path: Path
 
 
-def read_panorama(path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> Panorama:
+def read_panorama(
+    path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS, reading: Reading = DEFAULT_READING
+) -> Panorama:
     """Read a panorama, turn it upright and complete it to the whole sphere.
 
-    EXIF orientation is applied; a cropped panorama (GPano tags, OpenEXR data window) is put in its place in the full
-    sphere and the rest is masked; grey becomes RGB; alpha becomes the mask.
+    EXIF orientation is applied; a cropped panorama (GPano tags, OpenEXR data window, or as ``reading`` says) is put in
+    its place in the full sphere and the rest is masked; grey becomes RGB; alpha becomes the mask; colours of an ICC
+    profile become sRGB. Squeezed frames of 16:9 are stretched to 2:1.
 
     Args:
-        path: JPEG, PNG, TIFF, EXR or WebP; samples are taken as they are, no colour space is converted.
+        path: JPEG, PNG, TIFF, EXR, HDR, WebP, JPEG XL, HEIC or AVIF.
         allow_aspect: resample images that are not 2:1, as if their pixels were not square.
         max_pixels: refuse larger images before decoding them.
+        reading: what the file does not say, and the size to which it is reduced.
 
     Raises:
         ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or
             infinite samples.
     """
     header, samples = decode_image(path, max_pixels=max_pixels)
-    size = sphere_size(header, allow_aspect=allow_aspect, max_pixels=max_pixels)
-    colour, alpha = colour_and_alpha(header, upright(samples, header.orientation))
-    panorama = _panorama(header, colour, alpha, placement_of(header))
+    size = sphere_size(header, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
+    picture = upright(samples, header.orientation)
+    colour, alpha = colour_and_alpha(header, picture[: len(picture) // 2] if reading.upper_half else picture)
+    placement = placement_of(header, reading)
+    _check_layout(header.path, colour, placement, allow_aspect=allow_aspect)
+    if reading.size is not None and reading.size < size:
+        size = reading.size
+        colour, alpha, placement = _reduced(header, colour, alpha, placement, size)
+    if (profile := header.colour_profile) is not None and str(colour.dtype) in INTEGER_PEAKS:
+        colour = profile.to_srgb(colour, INTEGER_PEAKS[str(colour.dtype)])
+    if reading.view_transform and header.is_linear:
+        colour = view_transform(unit_range(colour, header.path))
+    panorama = _panorama(header, colour, alpha, placement)
     return panorama if panorama.image.shape[:2] == size else _resampled(panorama, size)
 
 
-def sphere_size(header: ImageHeader, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> tuple[int, int]:
-    """Height and width of what :func:`read_panorama` makes of a file; ImageError: too large, too small, not 2:1."""
-    placement = placement_of(header)
+def sphere_size(
+    header: ImageHeader, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS, reading: Reading = DEFAULT_READING
+) -> tuple[int, int]:
+    """Height and width of the sphere that a file becomes in full; ImageError: too large, too small, not 2:1."""
+    placement = placement_of(header, reading)
     height, width = placement.full_height, placement.full_width
     check_pixel_count(header.path, height, width, max_pixels)
     if min(height, width // 2) < MIN_PANORAMA_HEIGHT:
@@ -79,29 +112,87 @@ def sphere_size(header: ImageHeader, *, allow_aspect: bool = False, max_pixels: 
         )
     if width == 2 * height:
         return height, width
-    if not allow_aspect:
-        raise ImageError(
-            f"{header.path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
-            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
-        )
+    if not (allow_aspect or is_squeezed(placement) or reading.is_partial):
+        raise _aspect_error(header.path, width, height)
     return width // 2, width // 2 * 2
 
 
+def is_squeezed(placement: Placement) -> bool:
+    """Whether a picture has the shape of a video's frame of 16:9, to which some cameras squeeze the sphere."""
+    is_wide = placement.width >= MIN_FRAME_WIDTH and abs(9 * placement.width - 16 * placement.height) <= 16
+    return placement.is_whole and is_wide
+
+
+def _aspect_error(path: Path, width: int, height: int) -> ImageError:
+    if width == height:
+        remedy = "use the upper half of top-bottom stereo (--upper-half), or allow other aspect ratios (--allow-aspect)"
+    else:
+        remedy = (
+            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere, "
+            "or say what it covers (--hfov)"
+        )
+    return ImageError(
+        f"{path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; {remedy}"
+    )
+
+
+def _check_layout(path: Path, colour: np.ndarray, placement: Placement, *, allow_aspect: bool) -> None:
+    """Refuse (ImageError) squares whose halves show the same, and pictures of 16:9 that are no squeezed sphere."""
+    height, width = colour.shape[:2]
+    step = max(1, height // LAYOUT_ROWS)
+    if placement.is_whole and allow_aspect and width == height:
+        halves = [half[::step, ::step].astype(np.float64).ravel() for half in np.split(colour[: height // 2 * 2], 2)]
+        if halves[0].std() > 0 < halves[1].std() and np.corrcoef(halves)[0, 1] > MIN_STEREO_CORRELATION:
+            raise ImageError(
+                f"{path}: expected one picture of the sphere, got two that are alike, one above the other: this looks "
+                "like top-bottom stereo; use the upper half (--upper-half)"
+            )
+    if is_squeezed(placement) and not allow_aspect:
+        rows = colour[::step].astype(np.float64)
+        across_seam = np.abs(rows[:, 0] - rows[:, -1]).mean()
+        beside = np.abs(np.diff(rows[:, :: max(1, width // 64)], axis=1)).mean()
+        poles = max(row.std(axis=0).mean() for row in (rows[0], colour[-1].astype(np.float64)))
+        if across_seam > MAX_SEAM_STEP * beside or poles > MAX_POLE_SHARE * rows.std(axis=1).mean():
+            raise _aspect_error(path, width, height)
+
+
+def _reduced(
+    header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None, placement: Placement, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray | None, Placement]:
+    """Samples of a smaller sphere, by means over areas, before they become numbers: that takes a quarter of the memory.
+
+    Where only a part is known, or alpha is, the mask of it is alpha: white where all of a pixel is known.
+    """
+    import cv2  # loaded only here: a plan needs this package, and no more
+
+    if colour.dtype == np.float16:
+        colour = colour.astype(np.float32)
+    if header.is_alpha_associated and alpha is not None and (alpha != INTEGER_PEAKS.get(str(alpha.dtype), 1)).any():
+        return colour, alpha, placement
+    opaque = INTEGER_PEAKS.get(str(colour.dtype), 1)
+    smaller = cv2.resize(placement.put(colour), size[::-1], interpolation=cv2.INTER_AREA)
+    if alpha is not None or not placement.is_whole:
+        known = np.ones(colour.shape[:2], bool) if alpha is None else unit_range(alpha, header.path) >= MIN_USABLE_ALPHA
+        share = cv2.resize(placement.put(known.astype(np.float32)), size[::-1], interpolation=cv2.INTER_AREA)
+        alpha = np.where(share > 1.0 - 1e-6, opaque, 0).astype(colour.dtype)
+    return np.asarray(smaller), alpha, Placement(*size, 0, 0, *size)
+
+
 def read_mask(
-    path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS
+    path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS, reading: Reading = DEFAULT_READING
 ) -> Bool[np.ndarray, "height width"]:
     """Read a mask ``(height, width)``: True (usable) where the first channel is at least half of white.
 
     Arguments and errors are those of :func:`read_panorama`.
     """
-    panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
+    panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
     bright = panorama.image[..., 0] >= 0.5
     return bright if panorama.mask is None else bright & panorama.mask
 
 
 def usable_part(
     own: Bool[np.ndarray, "height width"] | None, size: tuple[int, ...], masks: Iterable[Path | None], nadir: float,
-    *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS,
+    *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS, reading: Reading = DEFAULT_READING,
 ) -> Bool[np.ndarray, "height width"] | None:  # fmt: skip
     """True where a panorama may be used; None where all of it may.
 
@@ -115,7 +206,7 @@ def usable_part(
     """
     parts = [] if own is None else [own]
     for path in (path for path in masks if path is not None):
-        mask = read_mask(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
+        mask = read_mask(path, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
         check_mask_size(path, mask.shape, size)
         if not mask.any():
             raise InputError(

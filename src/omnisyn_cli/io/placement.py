@@ -1,6 +1,7 @@
-"""Where the stored pixels lie on the full sphere: cropped panoramas and OpenEXR windows."""
+"""Where the stored pixels lie on the full sphere: cropped panoramas, OpenEXR windows, and what users know of both."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Shaped
@@ -8,7 +9,7 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import ImageHeader
 
-__all__ = ["placement_of"]
+__all__ = ["Reading", "placement_of"]
 
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 
@@ -51,8 +52,48 @@ class Placement:
         return full
 
 
-def placement_of(header: ImageHeader) -> Placement:
-    """Where the upright image lies on the sphere: GPano tags first, then OpenEXR windows, else it is the whole.
+@dataclass(frozen=True)
+class Reading:
+    """What files do not say of their pictures, and how pictures are wanted.
+
+    Attributes:
+        upper_half: only the upper half is the picture, as of top-bottom stereo.
+        hfov, vfov: radians that the picture spans, for partial panoramas without tags; one follows from the other.
+        horizon: where the horizon is then, as a share of the picture's height from its top.
+        view_transform: show linear light (OpenEXR, Radiance HDR) as screens do, instead of taking its numbers.
+        size: height and width to which a larger sphere is reduced; None keeps it.
+    """
+
+    upper_half: bool = False
+    hfov: float | None = None
+    vfov: float | None = None
+    horizon: float = 0.5
+    view_transform: bool = False
+    size: tuple[int, int] | None = None
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether it says that pictures are parts of the sphere."""
+        return self.hfov is not None or self.vfov is not None
+
+    def placement(self, height: int, width: int) -> Placement:
+        """Where an upright picture lies: centred on the sphere, its horizon on the equator."""
+        across = self.hfov if self.hfov is not None else (self.vfov or 0.0) * width / height
+        down = self.vfov if self.vfov is not None else across * height / width
+        full_height = max(round(math.radians(180.0) * height / down), 1)
+        full_width = max(round(math.radians(360.0) * width / across), 1)
+        if self.hfov is None or self.vfov is None:
+            full_width = 2 * full_height
+        top = round(full_height / 2 - self.horizon * height)
+        return Placement(height, width, top, (full_width - width) // 2, full_height, full_width)
+
+
+DEFAULT_READING = Reading()
+"""Whole spheres, as their tags and their samples say."""
+
+
+def placement_of(header: ImageHeader, reading: Reading = DEFAULT_READING) -> Placement:
+    """Where the upright image lies on the sphere: as ``reading`` says, else GPano tags, OpenEXR windows, or the whole.
 
     ImageError: the tags name another projection or contradict themselves.
     """
@@ -65,11 +106,15 @@ def placement_of(header: ImageHeader) -> Placement:
     height, width = header.height, header.width
     if header.orientation in TRANSPOSING_ORIENTATIONS:
         height, width = width, height
+    if reading.upper_half:
+        height, header = height // 2, replace(header, full_height=header.full_height // 2, attributes={})
+    if reading.is_partial:
+        return reading.placement(height, width)
     cropped = _google_placement(header, height, width)
     if cropped is not None:
         return cropped
     full = header.full_height, header.full_width
-    full = (height, width) if full == (header.height, header.width) else full
+    full = (height, width) if reading.upper_half or full == (header.height, header.width) else full
     return Placement(height, width, header.top, header.left, *full)
 
 

@@ -21,7 +21,9 @@ from omnisyn_cli.poses.formats.model import ImportedView, ImportOptions
 
 __all__ = ["images_in", "natural_key"]
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".webp"})
+IMAGE_SUFFIXES = frozenset(
+    {".avif", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".jxl", ".mpo", ".png", ".tif", ".tiff", ".webp"}
+)
 
 NUMPY_LOAD_ERRORS = (
     ValueError, EOFError, SyntaxError, TokenError, BadZipFile, RecursionError, MemoryError, TypeError,

@@ -1,0 +1,71 @@
+"""HEIC and AVIF, which OpenImageIO is seldom built with: Pillow decodes them, with pillow-heif for HEIC.
+
+What they say of themselves (EXIF, XMP, colours) is handed on in a PNG, so that one reader knows what it means.
+"""
+
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from omnisyn_cli.errors import ImageError
+
+HEIC_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
+
+AVIF_SUFFIX = ".avif"
+
+EXTRA = "pip install 'omnisyn-cli[heic]'"
+
+
+@contextmanager
+def png_of(path: Path, *, with_pixels: bool) -> Iterator[tuple[Path, tuple[int, int]]]:
+    """A PNG that says what a HEIC or AVIF file says, and the picture's height and width; the PNG is gone afterwards.
+
+    Without pixels it has one pixel. ImageError: damaged, or there is no reader; then how to convert it is said.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        png = Path(folder) / "picture.png"
+        try:
+            width, height = _write_png(path, png, with_pixels)
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            reason = " ".join(str(error).split())
+            raise ImageError(
+                f"{path}: expected a complete image, got '{reason:.200}'; the file is damaged, copy or export it anew"
+            ) from error
+        yield png, (height, width)
+
+
+def _write_png(path: Path, png: Path, with_pixels: bool) -> tuple[int, int]:
+    pillow, info = _pillow(path)
+    with warnings.catch_warnings(action="ignore"), pillow.open(path) as image:
+        size: tuple[int, int] = image.size
+        mode = "RGBA" if "A" in image.mode else "RGB"
+        shown = image.convert(mode) if with_pixels else pillow.new(mode, (1, 1))
+        if xmp := image.info.get("xmp"):
+            info.add_itxt("XML:com.adobe.xmp", xmp.decode("utf-8", "replace"))
+        known = {key: image.info[key] for key in ("exif", "icc_profile") if image.info.get(key)}
+        shown.save(png, pnginfo=info, compress_level=0, **known)
+    return size
+
+
+def _pillow(path: Path) -> tuple[Any, Any]:
+    """Pillow's module of images that can open the file, and its metadata of a new PNG."""
+    is_heic = path.suffix.lower() in HEIC_SUFFIXES
+    try:
+        from PIL import Image, PngImagePlugin, features  # an optional dependency
+
+        if is_heic:
+            import pillow_heif  # likewise
+
+            pillow_heif.register_heif_opener()
+        elif not features.check("avif"):
+            raise ImportError("no AVIF")
+    except ImportError as error:
+        kind = "HEIC" if is_heic else "AVIF"
+        raise ImageError(
+            f"{path}: expected an image that can be read, got {kind} without a reader for it; install one ({EXTRA}), "
+            f"or convert it: magick {path.name} {path.stem}.jpg"
+        ) from error
+    return Image, PngImagePlugin.PngInfo()
