@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 
 import omnisyn_cli
 from omnisyn_cli.cli import main
-from omnisyn_cli.cli.progress import COMPILING
+from omnisyn_cli.cli.progress import COMPILING_NOTE
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import write_depth, write_image
@@ -22,10 +23,13 @@ from omnisyn_cli.poses.file import PosedPanorama, write_poses
 
 SIZE = (16, 32)
 
+STAGE_LINE = re.compile(r"^\[\d+:\d\d\] .*\n", re.MULTILINE)
+"""What is said of the plan and of each stage where there is no terminal."""
+
 
 @dataclass(frozen=True)
 class Result:
-    """What a command left behind; ``err`` without the word that kernels are compiled, which depends on former runs."""
+    """What a command left behind; ``err`` without its stages, and without the word that kernels are compiled."""
 
     code: int
     out: str
@@ -33,8 +37,8 @@ class Result:
 
     @property
     def err(self) -> str:
-        """What was printed on standard error, whether this was the first run or not."""
-        return self.raw_err.replace(f"{COMPILING}\n", "")
+        """What was printed on standard error but for how far it is, whether this was the first run or not."""
+        return STAGE_LINE.sub("", self.raw_err.replace(f"{COMPILING_NOTE}\n", ""))
 
 
 @dataclass(frozen=True)

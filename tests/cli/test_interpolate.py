@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli.cli_samples import SIZE, Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
+from cli.cli_samples import SIZE, STAGE_LINE, Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
 from interpolation_samples import edit_poses, use_ffmpeg
 from omnisyn_cli.io import open_video, read_spherical, write_image
 from omnisyn_cli.io.encoders import ffmpeg_program
@@ -27,10 +27,14 @@ def pair(tmp_path: Path) -> list[Path]:
     return write_pair(tmp_path)
 
 
-def test_a_video_and_one_line_on_stdout(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
+def test_a_video_a_line_on_stdout_and_one_about_its_confidence(
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn
+) -> None:
     before = set(listing(tmp_path))
     result = omnisyn.quiet(*pair_arguments(tmp_path, pair))
-    assert re.fullmatch(rf"{re.escape(str(tmp_path / 'out.mp4'))}: 3 frames of 32x16 in \d+\.\d s\n", result.out)
+    first, second = result.out.splitlines()
+    assert re.fullmatch(rf"{re.escape(str(tmp_path / 'out.mp4'))}: 3 frames of 32x16 in \d+\.\d s", first)
+    assert second.startswith("confidence: high (")
     assert set(listing(tmp_path)) - before == {"out.mp4"}
     assert read_spherical(tmp_path / "out.mp4").projection == "equirectangular"
 
@@ -40,7 +44,7 @@ def test_quiet_prints_nothing_and_verbose_prints_seconds_on_stderr(
 ) -> None:
     assert omnisyn.quiet(*folder_arguments(tmp_path, pair, "-q")).out == ""
     verbose = omnisyn(*folder_arguments(tmp_path, pair, "-v", "--overwrite"))
-    assert verbose.out.count("\n") == 1
+    assert verbose.out.count("\n") == 2
     assert re.search(r"render: +\d+\.\d\d s", verbose.err)
     assert "2 photographs, 1 rendered, 0 shown again" in verbose.err
     assert re.search(r"triangles drawn: \d\.\d\d of \d\.\d\d million\ninfinitely far: 0%", verbose.err)
@@ -203,7 +207,7 @@ def test_notes_about_a_plan_are_said_once(tmp_path: Path, pair: list[Path], omni
 
 def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, omnisyn: Omnisyn) -> None:
     """At 0 x264 leaves the profiles that players know; right above it does not."""
-    words = omnisyn("interpolate", "-h").out.split()
+    words = omnisyn("interpolate", "--help-all").out.split()
     assert "for h264 0 is lossless, which few players play" in " ".join(words)
     for crf, profile in ((0, "High 4:4:4 Predictive"), (1, "High")):
         with open_video(tmp_path / f"{crf}.mp4", size=(32, 64), fps=25, crf=crf) as sink:
@@ -310,7 +314,7 @@ def test_a_signal_in_the_middle_leaves_nothing(tmp_path: Path, pair: list[Path],
     finally:
         process.kill()
     assert (process.returncode, out) == (code, b"")
-    assert err.strip().count(b"\n") == 0
+    assert STAGE_LINE.sub("", err.decode()).strip().count("\n") == 0
     assert b"nothing was left half written" in err
     assert listing(tmp_path) == before
 

@@ -18,7 +18,7 @@ from omnisyn_cli.cli.options import (
     tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.runner import run_plan
+from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
@@ -28,9 +28,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 """Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
 
 
-@click.command(
-    cls=SectionedCommand, epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted."
-)
+@click.command(cls=SectionedCommand)
 @tour_options
 @click.option(
     "-o", "--output", type=FilePath(),
@@ -93,11 +91,7 @@ def export(
     job = ExportJob(
         nadir=math.radians(nadir), format=format, texture=texture, stride=stride, sky=sky, dome=dome, **given
     )
-    plan = plan_export(job)
-    run_plan(
-        plan, _load, len(plan.entries), lambda done: "panoramas", lambda summary: say(_said(summary)),
-        as_json=as_json, dry_run=dry_run, quiet=quiet,
-    )  # fmt: skip
+    run_job(job, plan_export, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet)
 
 
 def _load() -> Callable[..., ExportSummary]:

@@ -27,7 +27,7 @@ from omnisyn_cli.cli.options import (
     tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
-from omnisyn_cli.cli.runner import run_plan
+from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.config import FALLBACKS
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -39,9 +39,7 @@ if TYPE_CHECKING:
     from omnisyn_cli.interpolation.summary import Summary
 
 
-@click.command(
-    cls=SectionedCommand, epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted."
-)
+@click.command(cls=SectionedCommand)
 @tour_options
 @click.option(
     "-o", "--output", type=FramePlace(),
@@ -166,18 +164,22 @@ def interpolate(
     if budget is not None:
         _check_budget_decides(options["method"])
     given = named(options, lambda: video_ending(options["codec"]))
-    plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **given))
-    if budget is not None:
-        from omnisyn_cli.interpolation.planning.budget import apply_budget
 
-        plan = apply_budget(plan, budget)
-    check_device(plan.recipe)
+    def plan_of(job: InterpolationJob) -> InterpolationPlan:
+        plan = plan_interpolation(job)
+        if budget is not None:
+            from omnisyn_cli.interpolation.planning.budget import apply_budget
+
+            plan = apply_budget(plan, budget)
+        check_device(plan.recipe)
+        return plan
+
     compiled: list[str] = []
     begin = _processor_seconds()
-    summary = run_plan(
-        plan, _load, len(plan.path), lambda done: "frames" if done > 1 else None,
+    summary = run_job(
+        InterpolationJob(nadir=math.radians(nadir), **given), plan_of, _load,
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
-        expected=lambda: _expected(plan), listen=compiled.append,
+        expected=_expected, frames=lambda plan: len(plan.path), listen=compiled.append,
     )  # fmt: skip
     if summary is not None and not compiled:
         from omnisyn_cli.interpolation.planning.duration import remember_run
@@ -204,10 +206,11 @@ def _expected(plan: InterpolationPlan) -> dict[str, Any]:
 
     duration = expected_duration(plan)
     if duration is None:
-        return {"expected_seconds": None, "expected_range": None, "expected_from": "was not measured"}
+        return {"expected_seconds": None, "expected_range": None, "expected_words": "", "expected_from": "not measured"}
     return {
         "expected_seconds": round(duration.seconds, 1),
         "expected_range": [round(bound, 1) for bound in duration.bounds],
+        "expected_words": duration.words,
         "expected_from": duration.source,
     }
 

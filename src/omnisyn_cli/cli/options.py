@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.pipeline.config import DEVICES
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
@@ -138,8 +138,8 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
     if poses is None and not poses_beside(images):
         for image in images:
             if not image.exists():
-                raise click.UsageError(f"{image}: expected a panorama, got no such file; check the name")
-        raise click.UsageError(
+                raise InputError(f"{image}: expected a panorama, got no such file; check the name")
+        raise InputError(
             f"expected --poses, or a poses.json beside {images[0]}, got neither; have poses found in the pictures "
             "(--poses auto), or name the pose file (--poses FILE)"
         )
@@ -153,20 +153,13 @@ def check_one_cut(options: Mapping[str, Any]) -> None:
         raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
 
 
-def print_json(values: Any) -> None:
-    """Print plain values on stdout."""
-    import json
-
-    for line in json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False).split("\n"):
-        say(line)
-
-
-def print_plan(values: dict[str, Any], *, as_json: bool) -> None:
-    """Print a plan, as JSON or a line for each of its values that says something; notes have been said before."""
+def print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
+    """Print a plan as JSON; or a sentence, and a line for each value that says something new."""
     if as_json:
         print_json(values)
         return
+    say(sentence)
     for key, value in values.items():
         shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-        if key != "notes" and shown != "":
+        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
             say(f"{key.replace('_', ' '):>18}: {shown}")

@@ -1,14 +1,20 @@
 """What is said on stderr while a command works: how far it is, and why nothing happens for a while."""
 
+from __future__ import annotations
+
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.cli.terminal import printable, say
 
-COMPILING = "note: compiling the kernels, once per installation: about half a minute"
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+COMPILING_NOTE = "note: compiling the kernels, once per installation: about half a minute"
 
 MIN_BAR_SECONDS = 1.5
 """Seconds of compiling that nobody needs to be told about."""
@@ -31,7 +37,7 @@ def say_when_compiling(
     from omnisyn_cli.compute.jit import are_kernels_kept, when_compiling
 
     def tell() -> None:
-        note = COMPILING if are_kernels_kept() else COMPILING_AGAIN
+        note = COMPILING_NOTE if are_kernels_kept() else COMPILING_AGAIN
         listen(note)
         if not is_quiet:
             say(note, err=True)
@@ -91,3 +97,121 @@ def counted_bar(
 
         with while_compiling(compile_):
             yield show
+
+
+STAGES: Mapping[str, str] = {
+    "poses": "finding poses",
+    "reading": "reading panoramas",
+    "depth": "finding depth",
+    "frames": "making frames",
+    "writing": "writing",
+}
+"""What is said of each stage, in order."""
+
+UNCOUNTED_STAGES = ("poses", "reading")
+"""Stages that are over when the next one begins."""
+
+STAGE_OF_CLOCK: Mapping[str, str] = {
+    "decode": "reading", "depth": "depth", "walk": "writing", "pack": "writing", "write": "writing",
+}  # fmt: skip
+"""The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to."""
+
+
+class Stages:
+    """The stages of a command: a bar for each on a terminal; elsewhere a line when one begins.
+
+    Args:
+        bars: where bars are drawn; None is no terminal.
+        is_quiet: nothing is said at all.
+    """
+
+    def __init__(self, bars: Progress | None, *, is_quiet: bool) -> None:
+        self._bars, self._is_quiet, self._begin = bars, is_quiet, time.monotonic()
+        self._totals: dict[str, int] = {}
+        self._tasks: dict[str, TaskID] = {}
+        self._begun: list[str] = []
+        self._pairs = 0
+
+    @property
+    def has_bars(self) -> bool:
+        """Whether bars are drawn, among which nobody else may print."""
+        return self._bars is not None
+
+    def note(self, line: str) -> None:
+        """Print a line on stderr, above bars if there are any."""
+        if self._bars is not None:
+            self._bars.console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
+        elif not self._is_quiet:
+            say(line, err=True)
+
+    def log(self, line: str) -> None:
+        """The same with the time since the beginning."""
+        seconds = int(time.monotonic() - self._begin)
+        self.note(f"[{seconds // 60}:{seconds % 60:02}] {line}")
+
+    def expect(self, **totals: int) -> None:
+        """Show bars of stages that are to come, with how much there is to do."""
+        self._totals |= totals
+        for stage in totals if self._bars is not None else ():
+            self._add(stage)
+
+    def show(self, stage: str, done: int | None = None) -> None:
+        """Say that a stage goes on, and how much of it is done."""
+        if stage not in self._begun:
+            self._begun.append(stage)
+            self._start(stage)
+        if self._bars is not None and done is not None:
+            self._bars.update(self._tasks[stage], completed=done)
+
+    def time(self, clocked: str) -> None:
+        """The same by what a stopwatch times; depth of a pair is done when it is checked."""
+        if clocked == "check":
+            self._pairs += 1
+            self.show("depth", self._pairs)
+        elif clocked in STAGE_OF_CLOCK:
+            self.show(STAGE_OF_CLOCK[clocked])
+
+    def compile(self, is_begun: bool) -> None:
+        """Say that kernels are compiled, or what went on before."""
+        if self._bars is not None and self._begun:
+            stage = self._begun[-1]
+            self._bars.update(self._tasks[stage], description="compiling" if is_begun else STAGES[stage])
+
+    def _add(self, stage: str) -> None:
+        if self._bars is not None and stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(STAGES[stage], start=False, total=self._totals.get(stage))
+
+    def _start(self, stage: str) -> None:
+        if self._bars is None:
+            count = self._totals.get(stage, 0)
+            self.log(f"{STAGES[stage]} ({count})" if count > 1 else STAGES[stage])
+            return
+        for before in self._begun[:-1]:
+            if before in UNCOUNTED_STAGES:
+                total = self._totals.get(before, 1)
+                self._bars.update(self._tasks[before], total=total, completed=total)
+        self._add(stage)
+        self._bars.start_task(self._tasks[stage])
+
+
+@contextmanager
+def shown_stages(*, is_quiet: bool) -> Iterator[Stages]:
+    """Stages from the first second on; what is timed inside tells its own."""
+    with ExitStack() as stack:
+        bars = None
+        if is_watched(is_quiet=is_quiet):
+            from rich.console import Console
+            from rich.progress import (
+                BarColumn,
+                MofNCompleteColumn,
+                Progress,
+                TextColumn,
+                TimeElapsedColumn,
+                TimeRemainingColumn,
+            )
+
+            times = (TimeElapsedColumn(), TimeRemainingColumn(compact=True))
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times)
+            bars = stack.enter_context(Progress(*columns, console=Console(stderr=True), transient=True))
+        stages = Stages(bars, is_quiet=is_quiet)
+        yield stages

@@ -1,64 +1,77 @@
-"""What `interpolate`, `export` and `view` do with a plan: say it, carry it out, say what was done."""
+"""What `interpolate`, `export` and `view` do with a job: plan it, say the plan, carry it out, say what was done."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import click
-
-from omnisyn_cli.cli.options import print_json, print_plan
-from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
-from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.cli.options import print_plan
+from omnisyn_cli.cli.progress import say_when_compiling, shown_stages
+from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
+    from omnisyn_cli.interpolation.job import TourJob
     from omnisyn_cli.interpolation.plan import TourPlan
     from omnisyn_cli.interpolation.summary import TourSummary
 
+J = TypeVar("J", bound="TourJob")
 P = TypeVar("P", bound="TourPlan")
 S = TypeVar("S", bound="TourSummary")
 
 
-def run_plan(
-    plan: P,
+def run_job(
+    job: J,
+    plan_of: Callable[[J], P],
     load: Callable[[], Callable[[P, Callable[[int], None] | None], S]],
-    steps: int,
-    unit: Callable[[int], str | None],
     report: Callable[[S], None],
     *,
     as_json: bool,
     dry_run: bool,
     quiet: bool,
-    expected: Callable[[], Mapping[str, Any]] = dict,
+    expected: Callable[[P], Mapping[str, Any]] = lambda plan: {},
+    frames: Callable[[P], int] = lambda plan: 0,
     listen: Callable[[str], None] = lambda note: None,
 ) -> S | None:
-    """Print a plan and stop, or carry it out.
+    """Plan a job, print the plan and stop, or carry it out.
 
     Args:
-        plan: what was planned.
-        load: imports what carries it out, which is called with the plan and what counts its steps.
-        steps: of the progress bar.
-        unit: what is counted, given how much is done; None while depth is being found.
+        job: what is asked for.
+        plan_of: checks it.
+        load: imports what carries it out, which is called with the plan and what counts its frames.
         report: prints for people what was done.
         as_json: whether JSON is printed instead.
         dry_run: whether nothing is to be made.
         quiet: whether nothing but errors is printed.
         expected: what else is said of the plan.
+        frames: how many are made.
         listen: is told about kernels that are compiled.
     """
-    if not quiet:
-        for note in plan.notes:
-            say(f"note: {note}", err=True)
-    if dry_run:
-        print_plan({**plan.describe(), **expected()}, as_json=as_json)
-        return None
-    from omnisyn_cli.interpolation.recipes import check_device
+    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 
-    check_device(plan.recipe)
-    click.get_current_context().with_resource(say_when_compiling(is_quiet=quiet, listen=listen))
-    run = load()
-    with counted_bar("depth", steps, unit, is_quiet=quiet) as on_step:
-        summary = run(plan, on_step)
+    with shown_stages(is_quiet=quiet) as stages:
+        if job.refine or job.poses == POSES_FROM_PICTURES:
+            stages.show("poses")
+        plan = plan_of(job)
+        for note in plan.notes:
+            stages.note(f"note: {note}")
+        values = {**plan.describe(), **expected(plan)}
+        if dry_run:
+            if as_json or not quiet:
+                print_plan(values, plan.in_words(values), as_json=as_json)
+            return None
+        from omnisyn_cli.compute.jit import while_compiling
+        from omnisyn_cli.compute.stopwatch import while_timing
+        from omnisyn_cli.interpolation.recipes import check_device
+
+        check_device(plan.recipe)
+        stages.log(plan.in_words(values))
+        pairs, count = len(plan.entries) - 1, frames(plan)
+        stages.expect(reading=pairs + 1, depth=pairs, **({"frames": count} if count else {}))
+        is_unsaid = quiet or stages.has_bars  # which say it themselves
+        with say_when_compiling(is_quiet=is_unsaid, listen=listen), while_compiling(stages.compile):
+            run = load()
+            with while_timing(stages.time):
+                summary = run(plan, lambda done: stages.show("frames", done) if count and done > 1 else None)
     if not quiet:
         for warning in summary.warnings():
             say(f"warning: {warning}", err=True)
@@ -66,4 +79,6 @@ def run_plan(
         print_json(summary.describe())
     elif not quiet:
         report(summary)
+        for line in summary.lines():
+            say(line)
     return summary

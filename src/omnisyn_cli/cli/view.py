@@ -18,7 +18,7 @@ from omnisyn_cli.cli.options import (
     tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
-from omnisyn_cli.cli.runner import run_plan
+from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.config import FALLBACKS
 
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from omnisyn_cli.interpolation.viewer import ViewSummary
 
 
-@click.command(
-    cls=SectionedCommand, epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted."
-)
+@click.command(cls=SectionedCommand)
 @tour_options
 @click.option(
     "-o", "--output", type=FilePath(),
@@ -81,11 +79,9 @@ def view(
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
     given = named(options, lambda: "-walk" if folder else ".html")
     job = ViewJob(nadir=math.radians(nadir), options=ViewOptions(texture, lossless), is_folder=folder, **given)
-    plan = plan_view(job)
-    summary = run_plan(
-        plan, _load, len(plan.entries) - 1, lambda done: "pairs", lambda summary: say(_said(summary)),
-        as_json=as_json, dry_run=dry_run, quiet=quiet,
-    )  # fmt: skip
+    summary = run_job(
+        job, plan_view, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet
+    )
     if summary is None:
         return
     if serve:

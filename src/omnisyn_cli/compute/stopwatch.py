@@ -5,7 +5,19 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["Stopwatch"]
+__all__ = ["Stopwatch", "while_timing"]
+
+_listeners: list[Callable[[str], None]] = []
+
+
+@contextmanager
+def while_timing(listen: Callable[[str], None]) -> Iterator[None]:
+    """Inside, whatever stage any stopwatch begins is told to ``listen``."""
+    _listeners.append(listen)
+    try:
+        yield
+    finally:
+        _listeners.remove(listen)
 
 
 class Stopwatch:
@@ -23,6 +35,8 @@ class Stopwatch:
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         """Time what happens inside."""
+        for listen in _listeners:
+            listen(stage)
         begin = self.now()
         try:
             yield

@@ -34,6 +34,9 @@ MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
 
+CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}
+
+
 @dataclass(frozen=True)
 class TourPlan:
     """What has been checked of a job whatever is made of it: its panoramas, where they were taken, how depth is found.
@@ -66,6 +69,19 @@ class TourPlan:
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
         raise NotImplementedError
+
+    def what(self) -> str:
+        """What is made, in a few words."""
+        return f"{self.job.output.name} of {len(self.entries)} panoramas"
+
+    def in_words(self, values: Mapping[str, Any]) -> str:
+        """What is made, how long that takes and how much memory, in one line for people.
+
+        Args:
+            values: those of :meth:`describe`, with ``expected_words`` where the time is known.
+        """
+        memory = f"{values['memory_mib'] * 2**20 / 1e9:.1f} GB of memory"
+        return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory)))
 
     def described(
         self, before: Mapping[str, Any], memory: int, after: Mapping[str, Any] | None = None
@@ -109,6 +125,14 @@ class InterpolationPlan(TourPlan):
     path: tuple[Waypoint, ...]
     length: float
     memory: int
+
+    def what(self) -> str:
+        """The video, or the images, in a few words."""
+        (height, width), frames = self.size, len(self.path)
+        if is_sequence(self.job.output):
+            return f"{frames} {_encoder(self.job)} of {width}x{height}"
+        codec = CODEC_NAMES[self.job.codec or "h264"]
+        return f"{frames / self.job.fps:.3g} s of {width}x{height} {codec}, {frames} frames"
 
     def describe(self) -> dict[str, Any]:
         """See :meth:`TourPlan.described`."""

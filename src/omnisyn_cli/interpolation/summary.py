@@ -1,16 +1,40 @@
-"""What was done: how long it took, and how far it can be relied on."""
+"""What was done: how long it took, and how far it can be relied on, in figures and in words."""
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any, ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
+from omnisyn_cli.geometry.pose import interpolate_pose
+from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 
 __all__ = ["Summary", "TourSummary"]
+
+
+CONFIDENCE_WORDS = ((0.6, "high"), (0.45, "medium"), (MIN_PAIR_SCORE, "low"), (0.0, "very low"))
+"""Least score of a word. Set by hand."""
+
+MAX_GOOD_SHARE = 0.02
+"""Of the sphere that may be unseen, in disagreement or inconsistent without advice about it. Set by hand."""
+
+DIRECTIONS = (
+    "ahead", "ahead to the right", "to the right", "behind to the right", "behind", "behind to the left",
+    "to the left", "ahead to the left",
+)  # fmt: skip
+"""Eighths of a turn, clockwise from the centre of the picture."""
+
+MIN_STEEP_DEG, MAX_LEVEL_DEG = 60.0, 15.0
+"""Elevations from which on a direction is straight up or down, and below which it is level."""
+
+CONFIDENCE_PAGE = "docs/confidence.md"
 
 
 @dataclass(frozen=True)
@@ -76,6 +100,34 @@ class TourSummary:
         stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
         return {**self.plan.describe(), **self.results, "stages": stages, "confidence": self.confidence}
 
+    def lines(self) -> Iterator[str]:
+        """For people: how far the worst pair can be relied on, where it is weakest, and what to try."""
+        if not self.pairs:
+            return
+        index = min(self.pairs, key=lambda each: self.pairs[each].score)
+        worst = self.pairs[index]
+        word = next(word for least, word in CONFIDENCE_WORDS if worst.score >= least)
+        weakest = np.array(worst.weakest)
+        yield f"confidence: {word} ({worst.score:.2f}), weakest {self.place(index, weakest)}"
+        if word != CONFIDENCE_WORDS[0][1]:
+            yield f"to try: {', '.join(self._remedies(worst))} ({CONFIDENCE_PAGE})"
+
+    def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
+        """Where that is, in words, for a direction half way between the panoramas of a pair."""
+        first, second = self.plan.job.images[index : index + 2]
+        return f"between {first.name} and {second.name}, {direction_in_words(direction)}"
+
+    def _remedies(self, pair: PairConfidence) -> Iterator[str]:
+        if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and self.plan.job.nadir == 0.0:
+            yield "--nadir 25 if a tripod shows"
+        if pair.inconsistency > MAX_GOOD_SHARE:
+            yield "--mask for people and things that moved"
+        if pair.disagreement > MAX_GOOD_SHARE:
+            yield "omnisyn poses check"
+        yield "panoramas closer together"
+        if pair.score < MIN_PAIR_SCORE and self.plan.recipe.fallback == "none":
+            yield "--fallback crossfade"
+
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
         return [
@@ -98,6 +150,14 @@ class Summary(TourSummary):
     plan: InterpolationPlan
     made: Made = field(default_factory=Made)
 
+    def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
+        """The time in the video and the direction in its picture then."""
+        path = self.plan.path
+        number = min(range(len(path)), key=lambda k: abs(path[k].segment + path[k].t - index - 0.5))
+        half_way = interpolate_pose(*(entry.pose for entry in self.plan.entries[index : index + 2]), t=0.5)
+        shown = path[number].pose.rotation.T @ half_way.rotation @ direction
+        return f"around {number / self.plan.job.fps:.1f} s, {direction_in_words(shown)}"
+
     @property
     def results(self) -> dict[str, Any]:
         """What was modelled, as plain values."""
@@ -117,6 +177,18 @@ class Summary(TourSummary):
             **shares,
             "pairs": [{"first": index, **pair} for index, pair in zip(self.pairs, described, strict=True)],
         }
+
+
+def direction_in_words(direction: Float[np.ndarray, " 3"]) -> str:
+    """Where somebody who looks at the centre of a picture finds a direction in the frame of its camera."""
+    azimuth, polar_angle = (math.degrees(angle) for angle in direction_to_angles(direction))
+    elevation = 90.0 - polar_angle
+    if abs(elevation) > MIN_STEEP_DEG:
+        return "straight up" if elevation > 0 else "straight down"
+    side = DIRECTIONS[round(azimuth / 360.0 * len(DIRECTIONS)) % len(DIRECTIONS)]
+    if abs(elevation) < MAX_LEVEL_DEG:
+        return side
+    return f"{side}, {'above' if elevation > 0 else 'below'} the horizon"
 
 
 def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:

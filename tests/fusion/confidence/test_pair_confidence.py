@@ -6,7 +6,7 @@ import pytest
 from confidence_samples import generated_views, judged, rank_correlation
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, assess_pair
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import solid_angles
+from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.types import KnownDepth, Layer
 
 SIZE = (32, 64)
@@ -67,3 +67,14 @@ def test_nothing_in_common_is_the_worst() -> None:
     assert found.score == 0
     assert found.unseen == pytest.approx(1.0)
     assert set(found.describe()) == {"score", "expected_db", "unseen", "disagreement", "inconsistency"}
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.3, 1.0)])
+def test_the_weakest_direction_is_where_colours_differ(direction: tuple[float, float, float]) -> None:
+    """At a side, at a pole and at the seam; one small error elsewhere is not mistaken for it."""
+    where = pixel_directions(*SIZE) @ (np.array(direction) / np.linalg.norm(direction)) > np.cos(0.4)
+    error = np.where(where, 0.3, 0.0)
+    error[SIZE[0] // 2, SIZE[1] // 2] = 0.4
+    same, other = rendering(0.2), rendering(0.2 + error)
+    found = np.array(assess_pair([(same, same), (same, same)], (same, other)).weakest)
+    assert found @ direction / np.linalg.norm(direction) > np.cos(np.radians(20.0))

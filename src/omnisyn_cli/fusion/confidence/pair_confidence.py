@@ -10,11 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.fusion.pixel_classes import classify_pixels
-from omnisyn_cli.geometry.sphere import solid_angles
+from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
 __all__ = ["PairConfidence", "assess_pair"]
@@ -29,6 +30,13 @@ MAX_COLOUR_RMS = 0.1
 """Root mean square difference over the channels above which two colours are different ones. Set by hand."""
 
 
+WEAKNESS_CELLS = (12, 24)
+"""Rows and columns in which the weakest place is looked for: cells of 15 degrees, three by three of them at a time."""
+
+HOLE_ERROR = 0.05
+"""Squared error that a pixel counts with which neither layer shows: it is filled with blurred surroundings."""
+
+
 @dataclass(frozen=True)
 class PairConfidence:
     """How reliable the frames between two panoramas are.
@@ -39,6 +47,7 @@ class PairConfidence:
         unseen: share of the sphere that neither layer shows half way.
         disagreement: share where both show something, at different distances.
         inconsistency: share where both show something at one distance, in different colours.
+        weakest: the direction, half way and in the frame of the camera there, around which both layers fit worst.
     """
 
     score: float
@@ -46,6 +55,7 @@ class PairConfidence:
     unseen: float
     disagreement: float
     inconsistency: float
+    weakest: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     def describe(self) -> dict[str, float]:
         """The values, rounded, for people and for JSON."""
@@ -71,7 +81,7 @@ def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Laye
     expected = -10.0 * math.log10(max(error, 1e-10))
     unseen, disagreement, inconsistency = _shares(*middle)
     score = min(1.0, max(0.0, (expected - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
-    return PairConfidence(score, expected, unseen, disagreement, inconsistency)
+    return PairConfidence(score, expected, unseen, disagreement, inconsistency, _weakest_direction(*middle))
 
 
 def _mean_error(one: Layer, other: Layer) -> float:
@@ -90,6 +100,19 @@ def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:
     cases = (classes.hole, classes.disagree, classes.agree & differs)
     unseen, disagreement, inconsistency = (float(weight[case].sum()) for case in cases)
     return unseen, disagreement, inconsistency
+
+
+def _weakest_direction(one: Layer, other: Layer) -> tuple[float, float, float]:
+    """The middle of the part of the sphere, some 45 degrees wide, in which two layers fit worst."""
+    both, none = _seen(one) & _seen(other), ~(_seen(one) | _seen(other))
+    error = np.where(both, _squared_difference(one, other), HOLE_ERROR * none)
+    area = solid_angles(*error.shape)
+    rows, cols = WEAKNESS_CELLS
+    cells = [cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA) for values in (error * area, area)]
+    sums = [cv2.blur(np.pad(values, ((0, 0), (1, 1)), mode="wrap"), (3, 3))[:, 1:-1] for values in cells]
+    row, col = np.unravel_index(np.argmax(sums[0] / sums[1]), WEAKNESS_CELLS)
+    x, y, z = pixel_to_direction(np.asarray(float(row)), np.asarray(float(col)), WEAKNESS_CELLS).tolist()
+    return x, y, z
 
 
 def _seen(layer: Layer) -> np.ndarray:

@@ -26,6 +26,7 @@ from pydantic import TypeAdapter
 
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.planning.figures import Figures, read_table
 from omnisyn_cli.io.outputs import write_parts
@@ -217,7 +218,8 @@ def _is_standard(plan: InterpolationPlan) -> bool:
     """Whether nothing is made besides the frames, and those are encoded as in the table."""
     job = plan.job
     besides = (job.view, job.save_depth, job.save_confidence, job.save_frames, job.codec, job.encoder_preset)
-    return all(each is None for each in besides) and job.output.suffix == ".mp4" and job.poses.name != "auto"
+    has_poses_to_find = job.refine or job.poses == POSES_FROM_PICTURES
+    return all(each is None for each in besides) and job.output.suffix == ".mp4" and not has_poses_to_find
 
 
 def remembered_runs() -> list[Run]:
