@@ -11,10 +11,13 @@ import pytest
 from interpolation_samples import CHAIN, Hall, edit_poses, job_of, listing, write_entries
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation import plan as planning
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
-from omnisyn_cli.io import write_image
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.io import read_panorama, write_image
+from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
-from synthesis_samples import as_bytes, hall_image, posed, write_hall
+from synthesis_samples import SIZE, as_bytes, hall_image, posed, write_hall, write_mask
 
 
 def test_depth_comes_from_files_where_all_have_one(tmp_path: Path, pair: Hall) -> None:
@@ -158,6 +161,37 @@ def test_a_mask_of_another_size_is_refused_wherever_it_is_in_a_chain(tmp_path: P
         write_image(tmp_path / f"m{k}.png", mask[:4, :8] if k == 2 else mask)
         masks.append(image.with_name(f"m{k}.png"))
     chain.refuses(InputError, r"m2\.png: expected a mask of 128×64 pixels, got 8×4", masks=tuple(masks))
+
+
+SMALL_PLAYERS = {"h264": 16, "h265": 24}
+"""Rows that players show, for pictures of these tests."""
+
+
+@pytest.mark.parametrize(
+    ("changes", "size", "note"),
+    [({}, (16, 32), "the video is 32x16, the panoramas are 128x64: few players show larger H.264; ask for more with "
+      "--size or --codec h265"), ({"codec": "h265"}, (24, 48), "show larger H.265; ask for more with --size"),
+     ({"size": (32, 64)}, (32, 64), None), ({"codec": "prores", "output": "a.mov"}, SIZE, None),
+     ({"output": "frames"}, SIZE, None)],
+)  # fmt: skip
+def test_the_usual_size_is_what_players_show(pair: Hall, changes, size, note, monkeypatch) -> None:
+    for codec, rows in SMALL_PLAYERS.items():
+        monkeypatch.setitem(CODECS, codec, replace(CODECS[codec], player_rows=rows))
+    plan = pair.plan(**{**changes, "output": pair.folder / changes.get("output", "a.mp4")})
+    assert plan.size == size
+    assert [each for each in plan.notes if "players" in each] == ([] if note is None else [plan.notes[0]])
+    assert note is None or note in plan.notes[0]
+
+
+def test_much_larger_photographs_are_read_at_the_size_that_frames_show(pair: Hall, monkeypatch) -> None:
+    monkeypatch.setattr(planning, "MIN_READING_ROWS", 16)
+    for rows, read in ((8, (16, 32)), (20, (40, 80)), (30, SIZE), (32, SIZE)):
+        plan = pair.plan(size=(rows, 2 * rows))
+        assert plan.source_sizes == (read, read)
+        assert any(f"p0.png and 1 more: read at {read[1]}x{read[0]}" in note for note in plan.notes) == (read != SIZE)
+    masks = tuple(write_mask(pair.folder / f"m{k}.png", 60) for k in range(2))
+    run_interpolation(pair.plan(size=(8, 16), frames=3, output=pair.folder / "frames", masks=masks))
+    assert read_panorama(pair.folder / "frames" / "000001.png").image.shape == (8, 16, 3)
 
 
 def test_two_pictures_of_one_name_are_refused_and_the_same_one_again_is_not(tmp_path: Path, chain: Hall) -> None:
