@@ -21,6 +21,7 @@ from omnisyn_cli.interpolation.loading import CachedPanorama
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
+from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -73,15 +74,19 @@ class PanoramaCache:
         """How many were read from files so far."""
         return self._known.misses
 
-    def __call__(self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> Panorama:
+    def __call__(
+        self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS,
+        reading: Reading = DEFAULT_READING,
+    ) -> Panorama:  # fmt: skip
         """The panorama of a file."""
 
         def read() -> CachedPanorama:
-            return CachedPanorama(read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels))
+            picture = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
+            return CachedPanorama(picture)
 
         if not path.exists():
             read()  # which says what is wrong
-        kept = self._known.get((*file_stamp(path), allow_aspect, max_pixels), read)
+        kept = self._known.get((*file_stamp(path), allow_aspect, max_pixels, reading), read)
         panorama = Panorama(kept.image(), kept.mask, kept.original, path)
         kept.release_floats()
         return panorama

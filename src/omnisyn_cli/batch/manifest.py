@@ -48,7 +48,7 @@ class BatchJob:
         images: panoramas, in walking order.
         poses: pose file that names them all, or ``auto`` where they are found in the pictures.
         outputs: by kind (``output``, ``save_depth``, …) the place below the folder of the batch.
-        options: of the interpolation, as the manifest names and writes them (``nadir`` in degrees), but for file names,
+        options: of the interpolation, as the manifest names and writes them (angles in degrees), but for file names,
             which are absolute; defaults are left out.
         group: jobs that share panoramas.
         folder: of the manifest, absolute: records name files relative to it.
@@ -78,8 +78,8 @@ class BatchJob:
         if "size" in options:
             width, _, height = options["size"].partition("x")
             options["size"] = int(height), int(width)
-        if "nadir" in options:
-            options["nadir"] = math.radians(options["nadir"])
+        for angle in {"nadir", "hfov", "vfov"} & options.keys():
+            options[angle] = math.radians(options[angle])
         options["masks"] = self.masks
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
         return InterpolationJob(images=self.images, poses=self.poses, threads=threads, **places, **options)

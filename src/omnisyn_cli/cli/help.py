@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 SECTIONS: Mapping[str, str] = {
-    "Input": "poses baseline refine masks nadir allow_outside allow_aspect max_pixels",
+    "Input": "poses baseline refine masks nadir allow_outside allow_aspect upper_half hfov vfov horizon "
+    "view_transform max_pixels",
     "Output": "output frames duration fps size format view codec crf encoder_preset texture lossless folder serve "
     "is_opened stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
@@ -19,8 +20,9 @@ SECTIONS: Mapping[str, str] = {
 """Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last."""
 
 RARE_OPTIONS = (
-    "allow_outside", "allow_aspect", "max_pixels", "crf", "encoder_preset", "lossless", "stride", "sky", "dome",
-    "save_depth", "save_confidence", "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
+    "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform", "max_pixels",
+    "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
+    "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
     "method", "renderer", "fusion", "adaptive",
 )  # fmt: skip
 """Parameters that only ``--help-all`` lists."""

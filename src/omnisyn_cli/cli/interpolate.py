@@ -52,8 +52,9 @@ if TYPE_CHECKING:
     "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
 )
 @click.option(
-    "--size", type=Size(), help="Size of the video, such as 2048x1024.  [default: that of the largest panorama]"
-)
+    "--size", type=Size(),
+    help="Size of the video, such as 2048x1024.  [default: that of the largest panorama, in H.264 at most 4096x2048]",
+)  # fmt: skip
 @click.option(
     "--method", type=click.Choice([name for name, method in METHODS.items() if method.is_offered]), default=OMNISYN,
     show_default=True,

@@ -30,6 +30,16 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class DegreeRange(FiniteRange):
+    """Degrees on the command line, radians in the program."""
+
+    name = "degrees"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The angle in radians."""
+        return math.radians(super().convert(value, param, ctx))
+
+
 class WholeRange(click.IntRange):
     """A range of integers, called by what is in it: click says of a word that it is no valid integer range."""
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, TourJob, depth_files, targets
+from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, TourJob, depth_files, reading_of, targets
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.depth_files import check_depth_header
@@ -97,7 +97,8 @@ def check_method(job: InterpolationJob) -> None:
 
 def source_size(job: TourJob, image: Path) -> tuple[int, int]:
     """Height and width of the panorama that a file becomes. Raises ImageError: there is none."""
-    return sphere_size(read_header(image), allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
+    header, reading = read_header(image), reading_of(job)
+    return sphere_size(header, allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
 
 
 def check_companions(

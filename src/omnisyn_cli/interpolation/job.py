@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Interval
 
 from omnisyn_cli.io import MAX_PIXELS, sample_type
+from omnisyn_cli.io.placement import Reading
 from omnisyn_cli.pipeline.config import DEVICES, FALLBACKS
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -58,6 +60,10 @@ class TourJob:
         threads: at most this many; None is one per core.
         overwrite: replace what exists.
         allow_aspect: resample panoramas that are not 2:1.
+        upper_half: of every panorama only the upper half is used, as of top-bottom stereo.
+        hfov, vfov: radians that panoramas span, for parts of the sphere without tags; one follows from the other.
+        horizon: where the horizon of such a part is, as a share of its height from the top.
+        view_transform: show linear light of OpenEXR and HDR files as screens do, unless frames are written as EXR.
         max_pixels: refuse panoramas, masks and depth files with more pixels, before they are decoded.
         allow_outside: accept depth and masks that the pose file names outside of its folder.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
@@ -79,6 +85,11 @@ class TourJob:
     threads: int | None = None
     overwrite: bool = False
     allow_aspect: bool = False
+    upper_half: bool = False
+    hfov: Annotated[float, Interval(gt=0, le=radians(360))] | None = None
+    vfov: Annotated[float, Interval(gt=0, le=radians(180))] | None = None
+    horizon: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    view_transform: bool = True
     max_pixels: Annotated[int, Ge(1)] = MAX_PIXELS
     allow_outside: bool = False
     baseline: Positive | None = None
@@ -94,7 +105,7 @@ class InterpolationJob(TourJob):
         frames: number of frames; None follows from ``duration`` and ``fps``.
         duration: seconds; None means three per pair.
         fps: frames per second.
-        size: (height, width) of the video; None means that of the largest panorama.
+        size: (height, width) of the video; None means that of the largest panorama, or what players of the codec show.
         method: one of :data:`omnisyn_cli.pipeline.methods.METHODS`; baselines leave nothing to choose about depth,
             surfaces and fusion.
         device: with ``cuda`` the GPU makes the frames as well if it can (:mod:`omnisyn_cli.interpolation.recipes`).
@@ -127,6 +138,12 @@ class InterpolationJob(TourJob):
     save_frames: Path | None = None
     adaptive: bool | None = None
     view: Path | None = None
+
+
+def reading_of(job: TourJob) -> Reading:
+    """How the panoramas of a job are read."""
+    is_shown = not isinstance(job, InterpolationJob) or "float32" not in sample_types(job)
+    return Reading(job.upper_half, job.hfov, job.vfov, job.horizon, job.view_transform and is_shown)
 
 
 def targets(job: InterpolationJob) -> dict[Path, dict[str, Any]]:

@@ -1,6 +1,7 @@
 """Panoramas with their masks and depth, read from files when they are needed and held as small as they can be."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from weakref import ref
 
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.job import reading_of
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import Panorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
@@ -18,7 +19,7 @@ from omnisyn_cli.types import DepthEstimate, View
 __all__ = ["CachedPanorama"]
 
 PanoramaReader = Callable[..., Panorama]
-"""Called as :func:`omnisyn_cli.io.read_panorama` is: with a path, ``allow_aspect`` and ``max_pixels``."""
+"""Called as :func:`omnisyn_cli.io.read_panorama` is: with a path and its keywords."""
 
 
 class CachedPanorama:
@@ -53,7 +54,7 @@ class Loader(Sequence[View]):
     def __init__(self, plan: TourPlan, clock: Stopwatch, read: PanoramaReader) -> None:
         self._plan, self._clock = plan, clock
         # Methods of its own in here would keep the loader, and what it keeps, alive until somebody looks for cycles.
-        self.panorama = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_panorama, plan.job, read))
+        self.panorama = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_panorama, plan, read))
         self._companions = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_companions, plan, self.panorama))
 
     def __len__(self) -> int:
@@ -72,8 +73,11 @@ class Loader(Sequence[View]):
             self.panorama(view).release_floats()
 
 
-def _read_panorama(job: TourJob, read: PanoramaReader, index: int) -> CachedPanorama:
-    return CachedPanorama(read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
+def _read_panorama(plan: TourPlan, read: PanoramaReader, index: int) -> CachedPanorama:
+    job, reading = plan.job, replace(reading_of(plan.job), size=plan.source_sizes[index])
+    return CachedPanorama(
+        read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
+    )
 
 
 def _read_companions(
@@ -84,6 +88,7 @@ def _read_companions(
     mask = usable_part(
         panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir,
         allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
+        reading=replace(reading_of(job), view_transform=False, size=plan.source_sizes[index]),
     )  # fmt: skip
     return mask, _known_depth(plan, entry)
 

@@ -10,7 +10,7 @@ from typing import Any
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
 from omnisyn_cli.interpolation.planning.memory import (
     Footprint,
     estimated_memory,
@@ -18,7 +18,11 @@ from omnisyn_cli.interpolation.planning.memory import (
     fuses_chain_depth,
 )
 from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, surface_recipe, video_recipe
+from omnisyn_cli.io import read_header
+from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.images import is_squeezed
+from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
@@ -34,6 +38,15 @@ MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
 
+READING_SHARE = 2
+"""Rows of a panorama for each row of a frame that are read: a frame near a surface magnifies it."""
+
+MIN_READING_ROWS = 2048
+"""Rows to which panoramas are reduced at the most: depth of more is not more accurate."""
+
+MIN_REDUCTION = 1.25
+"""Factor below which a panorama is read as it is."""
+
 CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}
 
 
@@ -44,7 +57,7 @@ class TourPlan:
     Attributes:
         job: what was asked for.
         entries: the pose file's entry of every panorama.
-        source_sizes: (height, width) of every panorama.
+        source_sizes: (height, width) at which every panorama is read.
         recipe: what surfaces and frames are made with.
         notes: what the user should know.
     """
@@ -158,10 +171,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     checks.check_choices(job)
     checks.check_method(job)
     tour = plan_tour(job, video_recipe)
-    entries, sources, frames = tour.entries, tour.source_sizes, frame_count(job)
-    largest = max(sources)[0]
-    even = largest + largest % 2
-    size = job.size or (even, 2 * even)
+    entries, frames = tour.entries, frame_count(job)
+    size = job.size or default_size(job, tour.source_sizes)
+    sources = tuple(reduced_size(source, size) for source in tour.source_sizes)
     checks.check_outputs(job, size)
     checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
@@ -169,10 +181,25 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     path = tuple(plan_path(poses, frames, ease=job.ease, heading=job.heading))
     return InterpolationPlan(
         job, entries, sources, recipe,
-        (*tour.notes, *_notes_about_video(job, entries, recipe), *notes_about_gpu(recipe, job)),
+        (*tour.notes, *_notes_about_video(job, entries, recipe), *_notes_about_size(job, tour.source_sizes, sources),
+         *notes_about_gpu(recipe, job)),
         size, path, path_length(poses),
         estimated_memory(job, recipe, size, sources, _surface_sizes(recipe, sources, entries)),
     )  # fmt: skip
+
+
+def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """Height and width of the video: those of the largest panorama, even, as far as players show them."""
+    rows = max(sources)[0]
+    limit = None if is_sequence(job.output) else CODECS[job.codec or "h264"].player_rows
+    rows = rows + rows % 2 if limit is None else min(rows + rows % 2, limit)
+    return rows, 2 * rows
+
+
+def reduced_size(source: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """Height and width at which a panorama is read for frames of a size: no detail of it is seen in them."""
+    rows = max(READING_SHARE * size[0], MIN_READING_ROWS)
+    return (rows, 2 * rows) if source[0] > MIN_REDUCTION * rows else source
 
 
 def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], Recipe] = surface_recipe) -> TourPlan:
@@ -195,7 +222,8 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     recipe = _installed(recipe_of(job, entries))
     checks.check_companions(job, entries, source_sizes, recipe)
-    return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
+    notes = (*remarks, *_notes_about_pictures(job), *_notes_about_depth(job, entries, recipe))
+    return TourPlan(job, entries, source_sizes, recipe, notes)
 
 
 def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
@@ -221,7 +249,9 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
 
 
 def _installed(recipe: Recipe) -> Recipe:
-    """The same; its networks are there."""
+    """The same; its networks are there, and that of depth is one for depth."""
+    if recipe.depth.model is not None:
+        find_model(recipe.depth.model, role=recipe.depth.strategy.role)
     for network in recipe.networks:
         find_model(network)
     return recipe
@@ -242,7 +272,8 @@ def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
     # OpenCV takes a while to import and is needed for poses from pictures only.
     from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
 
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir)
+    reading = reading_of(job)
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir, reading)
     if is_found:
         found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
     else:
@@ -297,6 +328,33 @@ def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], recipe: R
     if recipe.estimates_depth and job.depth == "auto" and named:
         why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
         yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
+
+
+def _notes_about_size(
+    job: InterpolationJob, sources: Sequence[tuple[int, int]], read: Sequence[tuple[int, int]]
+) -> Iterator[str]:
+    (rows, columns), (height, width) = max(sources), default_size(job, sources)
+    if job.size is None and height < rows:
+        codec = CODEC_NAMES[job.codec or "h264"]
+        more = " or --codec h265" if codec == "H.264" else ""
+        yield (
+            f"the video is {width}x{height}, the panoramas are {columns}x{rows}: few players show larger {codec}; ask "
+            f"for more with --size{more}"
+        )
+    reduced = [(image, size) for image, old, size in zip(job.images, sources, read, strict=True) if size != old]
+    if reduced:
+        (image, (height, width)), more = reduced[0], f" and {len(reduced) - 1} more" if len(reduced) > 1 else ""
+        yield f"{image.name}{more}: read at {width}x{height}, frames of this size show no more"
+
+
+def _notes_about_pictures(job: TourJob) -> Iterator[str]:
+    squeezed = [
+        image.name
+        for image in job.images
+        if not job.allow_aspect and is_squeezed(placement_of(read_header(image), reading_of(job)))
+    ]
+    if squeezed:
+        yield f"{listed(squeezed)}: 16:9, taken for squeezed frames of a 360° video and stretched to 2:1"
 
 
 def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:

@@ -39,6 +39,9 @@ BELOW_ZERO_ALTITUDE_REFS = (1, 3)
 
 LINEAR_FORMATS = ("openexr", "hdr")
 
+SHOWN_ATTRIBUTE = "omnisyn:displayReferred"
+"""Of EXR files whose samples are sRGB, as this program writes frames."""
+
 HARMLESS_COMPLAINTS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
 
@@ -91,8 +94,8 @@ class ImageHeader:
 
     @property
     def is_linear(self) -> bool:
-        """Whether samples are linear light, as OpenEXR and Radiance HDR have it."""
-        return self.format in LINEAR_FORMATS
+        """Whether samples are linear light, as OpenEXR and Radiance HDR have it unless they say otherwise."""
+        return self.format in LINEAR_FORMATS and SHOWN_ATTRIBUTE not in self.attributes
 
     @property
     def colour_profile(self) -> ColourProfile | None:

@@ -7,6 +7,7 @@ import OpenImageIO
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import OutputPathError, WriteError
+from omnisyn_cli.io.decode import SHOWN_ATTRIBUTE
 from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
 from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 
@@ -44,7 +45,7 @@ def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *chann
         if suffix in (".jpg", ".jpeg"):
             temporary.write_bytes(jpeg_bytes(samples))
         else:
-            write_channels(temporary, samples, ("R", "G", "B") if samples.ndim == 3 else ("Y",), target)
+            write_channels(temporary, samples, ("R", "G", "B") if samples.ndim == 3 else ("Y",), target, is_shown=True)
 
 
 def image_suffix(path: Path) -> str:
@@ -57,12 +58,19 @@ def image_suffix(path: Path) -> str:
     return suffix
 
 
-def write_channels(temporary: Path, samples: np.ndarray, channels: tuple[str, ...], target: Path) -> None:
-    """Write samples as they are, with these channel names, by OpenImageIO; errors speak of ``target``."""
+def write_channels(
+    temporary: Path, samples: np.ndarray, channels: tuple[str, ...], target: Path, *, is_shown: bool = False
+) -> None:
+    """Write samples as they are, with these channel names, by OpenImageIO; errors speak of ``target``.
+
+    Where colours are sRGB (``is_shown``) an EXR says so, which is taken for linear light otherwise.
+    """
     height, width = samples.shape[:2]
     spec = OpenImageIO.ImageSpec(width, height, len(channels), OIIO_TYPES[str(samples.dtype)])
     spec.channelnames = channels
     spec["png:compressionLevel"] = PNG_COMPRESSION_LEVEL
+    if is_shown and temporary.suffix.lower() == ".exr":
+        spec[SHOWN_ATTRIBUTE] = 1
     spec["DateTime"] = ""  # OpenEXR would write the present time: equal pictures are equal files
     writer = OpenImageIO.ImageOutput.create(str(temporary))
     contiguous = np.ascontiguousarray(samples.reshape(height, width, len(channels)))

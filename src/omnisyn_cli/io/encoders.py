@@ -34,6 +34,7 @@ class VideoCodec:
     Attributes:
         encoders: ffmpeg's encoders for it, the best first.
         crf: the default constant quality, None where there is none; lower is better.
+        player_rows: rows of the largest video of 2:1 that players in use show; None where nobody plays them.
         largest_crf: the end of its scale.
         preset: the default.
         presets: from fast to slow (ProRes: from small to large).
@@ -44,6 +45,7 @@ class VideoCodec:
 
     encoders: tuple[str, ...]
     crf: int | None
+    player_rows: int | None = None
     largest_crf: int = 51
     preset: str = "medium"
     presets: tuple[str, ...] = X26X_PRESETS
@@ -53,13 +55,20 @@ class VideoCodec:
 
 
 CODECS: Mapping[str, VideoCodec] = {
-    "h264": VideoCodec(("libx264",), 17, preset="veryfast", pixel_formats={"uint8": PLANAR_FORMAT}),
-    "h265": VideoCodec(("libx265",), 20, tag="hvc1"),
+    "h264": VideoCodec(("libx264",), 17, 2048, preset="veryfast", pixel_formats={"uint8": PLANAR_FORMAT}),
+    "h265": VideoCodec(("libx265",), 20, 4096, tag="hvc1"),
     "av1": VideoCodec(
-        ("libsvtav1", "libaom-av1"), 28, 63, "8", tuple(str(speed) for speed in range(13, -1, -1)), (".mp4",)
+        ("libsvtav1", "libaom-av1"), 28, 4096, 63, "8", tuple(str(speed) for speed in range(13, -1, -1)), (".mp4",)
     ),
     "prores": VideoCodec(
-        ("prores_ks",), None, 0, "hq", PRORES_PROFILES, (".mov",), {"uint8": "yuv422p10le", "uint16": "yuv422p10le"}
+        ("prores_ks",),
+        None,
+        None,
+        0,
+        "hq",
+        PRORES_PROFILES,
+        (".mov",),
+        {"uint8": "yuv422p10le", "uint16": "yuv422p10le"},
     ),
 }
 

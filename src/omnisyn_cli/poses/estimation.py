@@ -18,6 +18,7 @@ from omnisyn_cli.io import MAX_PIXELS, read_panorama
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
@@ -39,6 +40,7 @@ class PictureOptions:
         max_pixels: see :func:`omnisyn_cli.io.read_panorama`.
         masks: an image for every panorama that is black where it must not be used, besides those of poses; or none.
         nadir: radians around straight down that must not be used: tripod, roof of a car.
+        reading: what the files do not say of their pictures.
     """
 
     allow_aspect: bool = False
@@ -46,6 +48,7 @@ class PictureOptions:
     max_pixels: int = MAX_PIXELS
     masks: tuple[Path, ...] = ()
     nadir: float = 0.0
+    reading: Reading = DEFAULT_READING
 
 
 @dataclass(frozen=True)
@@ -178,10 +181,13 @@ def _matched_pairs(images: Sequence[Path], masks: Sequence[Path | None], options
 
 
 def _features(image: Path, masks: Sequence[Path | None], options: PictureOptions) -> Features:
-    panorama = read_panorama(image, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels)
+    panorama = read_panorama(
+        image, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels, reading=options.reading
+    )
     usable = usable_part(
         panorama.mask, panorama.image.shape[:2], masks, options.nadir,
         allow_aspect=options.allow_aspect, max_pixels=options.max_pixels,
+        reading=replace(options.reading, view_transform=False),
     )  # fmt: skip
     return find_features(panorama.image, usable, options.threads)
 
