@@ -9,15 +9,16 @@ from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo.costs import census_transform, cost_volume, surface_cost
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
-from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
 from omnisyn_cli.stereo.rectify import rectify, resize_area
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.stereo.sky import find_sky
-from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _plane_support
+from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _spread
 
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
 FLOOR = np.array([0.05, -0.6, 0.1])
+NO_POINTS = PlanePoints(np.zeros((0, 3)), *(np.zeros(0) for _ in range(3)), *(np.zeros(0, int) for _ in range(2)))
 
 
 def plane(size: tuple[int, int], normal: np.ndarray) -> np.ndarray:
@@ -81,19 +82,32 @@ def test_planes_are_found_among_outliers() -> None:
     inverse_depth = np.max(directions @ normals.T, axis=1)
     wrong = RNG.random(len(directions)) < 0.1
     inverse_depth[wrong] = RNG.uniform(0.0, 1.0, int(wrong.sum()))
-    pixel = np.unravel_index(np.arange(len(directions)), SMALL)
-    points = PlanePoints(directions, inverse_depth, np.full(len(directions), 0.003))
+    row, col = np.unravel_index(np.arange(len(directions)), SMALL)
+    points = PlanePoints(directions, inverse_depth, np.full(len(row), 0.003), solid_angles(*SMALL).ravel(), row, col)
     up = np.array([0.0, 1.0, 0.0])
-    found = find_planes(points, solid_angles(*SMALL).ravel(), pixel, up, max_planes=6, min_support=0.05)
+    found = find_planes((points, NO_POINTS), up, max_planes=6, min_support=0.05)
+    for normal in normals:
+        assert np.abs(found - normal).max(axis=1).min() < 2e-3
+
+
+def test_points_of_the_second_camera_tell_the_same_planes() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    normals = np.array([-0.6 * up, [0.3, 0.2, 0.0], [-0.2, -0.4, 0.1]])  # none passes between the cameras
+    seen = planes_from_second(normals)
+    directions = pixel_directions(*SMALL).reshape(-1, 3)
+    inverse_depth = np.max(directions @ seen.T, axis=1)
+    is_surface = inverse_depth > 0.05
+    row, col = np.unravel_index(np.flatnonzero(is_surface), SMALL)
+    points = PlanePoints(
+        directions[is_surface], inverse_depth[is_surface], np.full(len(row), 0.003), np.ones(len(row)), row, col
+    )
+    found = find_planes((NO_POINTS, points), up, max_planes=6, min_support=0.05)
     for normal in normals:
         assert np.abs(found - normal).max(axis=1).min() < 2e-3
 
 
 def test_too_few_points_make_no_plane() -> None:
-    zeros = np.zeros(5)
-    points = PlanePoints(np.zeros((5, 3)), zeros, zeros)
-    none = find_planes(points, zeros, (zeros.astype(int),) * 2, FLOOR, max_planes=3, min_support=0.1)
-    assert none.shape == (0, 3)
+    assert find_planes((NO_POINTS, NO_POINTS), FLOOR, max_planes=3, min_support=0.1).shape == (0, 3)
 
 
 def test_filling_leaves_what_is_known_and_stays_within_it() -> None:
@@ -172,8 +186,8 @@ def test_sky_needs_the_zenith_and_texture() -> None:
 def test_support_knows_no_seam_at_any_width(size: tuple[int, int]) -> None:
     mask = RNG.random(size) < 0.1
     for columns in (1, size[1] // 2):
-        rolled = _plane_support(np.roll(mask, columns, axis=1))
-        np.testing.assert_allclose(rolled, np.roll(_plane_support(mask), columns, axis=1), atol=1e-5)
+        rolled = _spread(np.roll(mask, columns, axis=1))
+        np.testing.assert_allclose(rolled, np.roll(_spread(mask), columns, axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(6, 12), (8, 16), (24, 48)])

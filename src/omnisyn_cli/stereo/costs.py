@@ -6,11 +6,13 @@ Source: Zabih and Woodfill, Non-parametric local transforms for computing visual
 from functools import partial
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt16, UInt64
 
 from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, MAX_COST, DisparityRange
 
 CENSUS_RADIUS = 3
@@ -25,6 +27,9 @@ COST_PER_CENSUS_BIT = np.float32(1.0 / 24.0)
 OUT_OF_VIEW_COST = np.float32(0.6)
 """Cost where the second image shows nothing (outside or masked): worse than a match, better than a contradiction;
 chosen by eye."""
+
+MIN_TEXTURE_VARIANCE = 1e-4
+"""Variance of the luminance in a window, which is (2.5/255)²: less texture decides nothing."""
 
 INVALID_COST = np.float32(MAX_COST)
 """Cost of a surface behind the camera."""
@@ -81,6 +86,16 @@ def _census_rows(padded, signature, begin, end):  # type: ignore[no-untyped-def]
                     for col in range(width):
                         brighter = np.uint64(padded[r, col + j] > padded[row, col + CENSUS_RADIUS] + CENSUS_NOISE)
                         signature[row, col] = (signature[row, col] << np.uint64(1)) | brighter
+
+
+def is_textured(image: Float[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
+    """Where the luminance varies within a window of the census."""
+    luminance = luminance_of(image)
+    side = 2 * CENSUS_RADIUS + 1
+    blur = partial(cv2.blur, ksize=(side, side))
+    mean = filter_across_seam(blur, luminance, CENSUS_RADIUS)
+    square = filter_across_seam(blur, luminance * luminance, CENSUS_RADIUS)
+    return np.asarray(square - mean * mean > MIN_TEXTURE_VARIANCE)
 
 
 def cost_volume(

@@ -3,11 +3,11 @@
 :meth:`MatchingDepthEstimator.features` names the stages, each in a module of its own.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.pose import at_same_position
@@ -24,17 +24,23 @@ from omnisyn_cli.stereo.disparity import (
 )
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
-from omnisyn_cli.stereo.plane_sweep import plane_from_second, sweep_planes
-from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
+from omnisyn_cli.stereo.plane_sweep import sweep_planes
+from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
-from omnisyn_cli.stereo.surface_labels import PlaneCandidates, fit_planes, label_surfaces, merge_planes
+from omnisyn_cli.stereo.surface_labels import label_surfaces
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptions"]
 
 INCONSISTENT_MATCH_WEIGHT = 0.002
 """Weight in filling of a disparity that only one direction found, against 1 for a consistent one; chosen by eye."""
+
+SAME_PLANE_TOLERANCE = 0.03
+"""Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity."""
+
+Planes = Float[np.ndarray, "planes 3"]
 
 MIN_ISLAND_PIXELS = 20
 """At half size: smaller islands of depth are mistakes more often than things."""
@@ -83,7 +89,7 @@ class MatchingDepthEstimator:
             # Cost volume and semi-global matching, one direction after the other: costs take much memory.
             matches = match_all_disparities(pair, options), match_all_disparities(reverse, options)
             consistent = _check_left_right(matches, options)
-            planes = _plane_candidates((pair, reverse), consistent, options)
+            planes = _find_planes((pair, reverse), consistent, options)
             surfaces = both(
                 lambda: label_surfaces(pair, consistent[0], planes[0], options),
                 lambda: label_surfaces(reverse, consistent[1], planes[1], options),
@@ -111,33 +117,45 @@ class MatchingDepthEstimator:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
 
 
-def _plane_candidates(
+def _find_planes(
     pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap], options: MatchingOptions
-) -> tuple[PlaneCandidates, PlaneCandidates]:
-    """The planes of both directions: each has its own, those of the other one and those that a sweep finds.
+) -> tuple[Planes, Planes]:
+    """The planes that pixels may lie on, in the frame of either direction: swept ones, and those through matches.
 
-    A plane that only one direction may choose fails the left-right check.
+    Both directions have the same: a plane that only one may choose fails the left-right check.
     """
-    fitted = both(*(partial(fit_planes, pair, each, options) for pair, each in zip(pairs, matches, strict=True)))
-    first, second = pairs
-    if _is_swept_from_first(first):
-        swept = sweep_planes(first, second)
-        sweeps = swept, _seen_by_other(swept)
-    else:
-        swept = sweep_planes(second, first)
-        sweeps = _seen_by_other(swept), swept
-    others = [_seen_by_other(each.normals) for each in fitted[::-1]]
-    return both(*(partial(merge_planes, *each) for each in zip(pairs, fitted, sweeps, others, strict=True)))
+    if not _is_canonical(pairs[0]):
+        second, first = _find_planes(pairs[::-1], matches[::-1], options)
+        return first, second
+    points = both(*(partial(_plane_points, pair, each) for pair, each in zip(pairs, matches, strict=True)))
+    fitted = find_planes(points, pairs[0].grid.up, max_planes=options.max_planes, min_support=options.min_plane_support)
+    swept = sweep_planes(*pairs)
+    different = [normal for normal in fitted if not any(_is_same_plane(normal, each) for each in swept)]
+    normals = np.concatenate([swept, np.reshape(different, (-1, 3))])
+    seen = planes_from_second(normals)
+    return normals, seen[np.isfinite(seen).all(axis=-1)]
 
 
-def _is_swept_from_first(pair: RectifiedPair) -> bool:
+def _is_canonical(pair: RectifiedPair) -> bool:
     """One panorama of the two by their places alone, so that exchanged panoramas have the same planes."""
     way = pair.world_from_frame[:, 1]
     return bool(way[np.abs(way).argmax()] > 0)
 
 
-def _seen_by_other(normals: Iterable[np.ndarray]) -> list[np.ndarray]:
-    return [seen for normal in normals if (seen := plane_from_second(normal)) is not None]
+def _plane_points(pair: RectifiedPair, matches: DisparityMap) -> PlanePoints:
+    """The unique ones of left-right consistent matches; they may be off by one row."""
+    grid = pair.grid
+    row, col = np.nonzero(matches.valid if matches.unique is None else matches.valid & matches.unique)
+    inverse_depth = grid.inverse_depth(matches.disparity[row, col], row)
+    is_usable = inverse_depth < MAX_INVERSE_DEPTH
+    row, col, inverse_depth = row[is_usable], col[is_usable], inverse_depth[is_usable]
+    tolerance = grid.inverse_depth_per_row(matches.disparity[row, col], row)
+    solid_angle = np.sin(grid.polar_angle[row, 0])
+    return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, solid_angle, row, col)
+
+
+def _is_same_plane(normal: np.ndarray, other: np.ndarray) -> bool:
+    return bool(np.linalg.norm(normal - other) < SAME_PLANE_TOLERANCE * np.linalg.norm(normal))
 
 
 def _check_left_right(

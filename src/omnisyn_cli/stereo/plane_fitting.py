@@ -1,17 +1,19 @@
 """The large planes of a scene: façades, floors, ceilings.
 
 Seen from a panorama a plane is a *linear* function of the direction, ``inverse_depth = normal · direction``, so fitting
-one is a 3×3 system. The length of a normal is the inverse distance of its plane.
+one is a 3×3 system. The length of a normal is the inverse distance of its plane. Points of both cameras are fitted
+together, so both choose among the same planes.
 """
 
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 
 from omnisyn_cli.compute.jit import fast_kernel, kernel
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z
 
 PROPOSAL_WINDOW_SIDES = (12, 32, 64)
 """Side lengths in pixels of the square windows that propose one plane each; chosen by eye."""
@@ -43,66 +45,110 @@ OUTLIER_TOLERANCE_FACTOR = 2.0
 ROBUST_ITERATIONS = 3
 """Of reweighted least squares."""
 
+SECOND_CAMERA = np.array([0.0, 1.0, 0.0])
+"""In the frame of the first one, in baselines."""
+
+MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
+"""In 1/baselines and in baselines: farther planes are infinity, and nearer ones pass through the second camera."""
+
 
 class PlanePoints(NamedTuple):
-    """Points that planes are fitted to.
+    """Points that one camera of a rectified pair sees, in the frame in which it is the first one.
 
     Attributes:
         directions: unit vectors.
-        inverse_depth: any unit; normals have the same.
-        tolerance: distance of an inlier, same unit.
+        inverse_depth: 1/baselines.
+        tolerance: distance of an inlier in 1/baselines.
+        solid_angle: weight of each point.
+        row, col: its pixel, for windows of neighbours.
     """
 
     directions: Float[np.ndarray, "points 3"]
     inverse_depth: Float[np.ndarray, " points"]
     tolerance: Float[np.ndarray, " points"]
+    solid_angle: Float[np.ndarray, " points"]
+    row: Int[np.ndarray, " points"]
+    col: Int[np.ndarray, " points"]
 
-    def residual(self, normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " points"]:
-        """How far the points are from a plane, in the unit of inverse depth."""
-        return np.asarray(self.directions @ normal - self.inverse_depth)
+
+class PlaneEquations(NamedTuple):
+    """One linear equation ``normal · ray = inverse_depth`` for each point of both cameras, in the first one's frame.
+
+    Attributes:
+        rays: directions; for points of the second camera ``direction + inverse_depth · camera``.
+        inverse_depth: from the camera that sees the point.
+        tolerance: as in :class:`PlanePoints`.
+        is_second: which camera sees the point.
+    """
+
+    rays: Float[np.ndarray, "points 3"]
+    inverse_depth: Float[np.ndarray, " points"]
+    tolerance: Float[np.ndarray, " points"]
+    is_second: Bool[np.ndarray, " points"]
+
+    @staticmethod
+    def of(first: PlanePoints, second: PlanePoints) -> "PlaneEquations":
+        """Those of both cameras; the second camera is at :data:`SECOND_CAMERA`."""
+        from_second = second.directions @ HALF_TURN_ABOUT_Z + second.inverse_depth[:, None] * SECOND_CAMERA
+        return PlaneEquations(
+            np.concatenate([first.directions, from_second]),
+            np.concatenate([first.inverse_depth, second.inverse_depth]),
+            np.concatenate([first.tolerance, second.tolerance]),
+            np.repeat([False, True], [len(first.directions), len(second.directions)]),
+        )
+
+    def subset(self, chosen: Int[np.ndarray, " subset"]) -> "PlaneEquations":
+        """Some of them."""
+        return PlaneEquations(*(values[chosen] for values in self))
+
+    def allowed(self, normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " points"]:
+        """Tolerance of the equation of each point: it shrinks as the plane comes near the second camera."""
+        distance_share = max(abs(1.0 - float(normal @ SECOND_CAMERA)), 1e-9)  # from the second camera over the first
+        return np.asarray(np.where(self.is_second, distance_share, 1.0) * self.tolerance)
+
+
+def planes_from_second(normals: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "planes 3"]:
+    """Planes as the second camera sees them, in the frame of the reversed pair.
+
+    NaN for a plane that is behind that camera, passes through it or is infinitely far. The rule is its own inverse.
+    """
+    inverse_distance = np.linalg.norm(normals, axis=-1, keepdims=True)
+    unit = normals / np.maximum(inverse_distance, MIN_INVERSE_DISTANCE)
+    distance = 1.0 / np.maximum(inverse_distance, MIN_INVERSE_DISTANCE) - (unit @ SECOND_CAMERA)[..., None]
+    is_seen = (inverse_distance >= MIN_INVERSE_DISTANCE) & (distance > MIN_SECOND_DISTANCE)
+    return np.where(is_seen, unit @ HALF_TURN_ABOUT_Z / np.where(is_seen, distance, 1.0), np.nan)
 
 
 def find_planes(
-    points: PlanePoints,
-    solid_angle: Float[np.ndarray, " points"],
-    pixel_index: tuple[Int[np.ndarray, " points"], ...],
-    up: Float[np.ndarray, " 3"],
-    *,
-    max_planes: int,
-    min_support: float,
+    points: tuple[PlanePoints, PlanePoints], up: Float[np.ndarray, " 3"], *, max_planes: int, min_support: float
 ) -> Float[np.ndarray, "planes 3"]:
-    """Normals of at most ``max_planes`` planes, best supported first.
+    """Normals of at most ``max_planes`` planes in the frame of the first camera, best supported first.
 
     Args:
-        points: what the planes explain.
-        solid_angle: of each point: its weight.
-        pixel_index: row and column of each point, for windows of neighbours.
+        points: what the planes explain, as either camera sees it.
         up: unit vector; level planes are proposed by one point, upright ones by two.
         max_planes: most planes to look for.
-        min_support: a plane has to explain this share of the total solid angle.
+        min_support: a plane has to explain this share of the total solid angle of both cameras.
 
     Source: greedy multi-model RANSAC; fixed seed, so equal inputs give equal planes.
     """
-    count = len(points.directions)
+    equations, solid_angle = PlaneEquations.of(*points), np.concatenate([each.solid_angle for each in points])
+    count = len(solid_angle)
     if count < MIN_PLANE_POINTS:
         return np.zeros((0, 3))
     rng = np.random.default_rng(0)
-    proposals = np.concatenate(
-        [
-            *(_propose_by_windows(points, pixel_index, side) for side in PROPOSAL_WINDOW_SIDES),
-            _propose_level(points, up, rng),
-            _propose_upright(points, up, rng),
-        ]
-    )
+    of_second = planes_from_second(_propose(points[1], HALF_TURN_ABOUT_Z @ up, rng))
+    proposals = np.concatenate([_propose(points[0], up, rng), of_second[np.isfinite(of_second).all(axis=-1)]])
     chosen = rng.choice(count, min(MAX_SCORED_POINTS, count), replace=False)
-    points, weight = PlanePoints(*(values[chosen] for values in points)), solid_angle[chosen].astype(np.float32)
-    inliers = _inlier_matrix(proposals, points)
+    equations, weight = equations.subset(chosen), solid_angle[chosen].astype(np.float32)
+    inliers = _inlier_matrix(proposals, equations)
     support, total = weight @ inliers, float(weight.sum())
     planes: list[np.ndarray] = []
     while len(planes) < max_planes and support.max() >= min_support * total:
         best = int(support.argmax())
-        planes.append(_refit_to_inliers(proposals[best], points, weight > 0))
-        is_near = np.abs(points.residual(planes[-1])) < EXPLAINED_TOLERANCE_FACTOR * points.tolerance
+        planes.append(fit_to_inliers(proposals[best], equations, weight > 0))
+        residual = equations.rays @ planes[-1] - equations.inverse_depth
+        is_near = np.abs(residual) < EXPLAINED_TOLERANCE_FACTOR * equations.allowed(planes[-1])
         explained = np.flatnonzero((is_near | (inliers[:, best] > 0)) & (weight > 0))
         support -= weight[explained] @ inliers[explained]  # each point supports one plane only
         support[best] = 0.0
@@ -110,43 +156,55 @@ def find_planes(
     return np.array(planes).reshape(-1, 3)
 
 
+def _propose(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "proposals 3"]:
+    """Planes that points of one camera propose, in its frame."""
+    if len(points.directions) == 0:
+        return np.zeros((0, 3))
+    by_windows = [_propose_by_windows(points, side) for side in PROPOSAL_WINDOW_SIDES]
+    return np.concatenate([*by_windows, _propose_level(points, up, rng), _propose_upright(points, up, rng)])
+
+
 def _inlier_matrix(
-    proposals: Float[np.ndarray, "proposals 3"], points: PlanePoints
+    proposals: Float[np.ndarray, "proposals 3"], equations: PlaneEquations
 ) -> Float32[np.ndarray, "points proposals"]:
     """1 where the proposal explains the point; float32, so that support is a fast matrix product."""
-    out = np.empty((len(points.directions), len(proposals)), np.float32)
-    run_ranges(partial(_mark_inliers, proposals, points, out), len(out))
+    out = np.empty((len(equations.rays), len(proposals)), np.float32)
+    # A plane behind the second camera explains nothing that it sees.
+    distance_share = np.stack([np.ones(len(proposals)), np.maximum(1.0 - proposals @ SECOND_CAMERA, 0.0)])
+    run_ranges(partial(_mark_inliers, proposals, distance_share, equations, out), len(out))
     return out
 
 
 @fast_kernel()
-def _mark_inliers(proposals, points, out, begin, end):  # type: ignore[no-untyped-def]
-    directions, inverse_depth, tolerance = points.directions, points.inverse_depth, points.tolerance
+def _mark_inliers(proposals, distance_share, equations, out, begin, end):  # type: ignore[no-untyped-def]
+    rays, inverse_depth, tolerance = equations.rays, equations.inverse_depth, equations.tolerance
     for i in range(begin, end):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        known, allowed = inverse_depth[i], tolerance[i]
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        known, allowed, share = inverse_depth[i], tolerance[i], distance_share[1 if equations.is_second[i] else 0]
         for k in range(len(proposals)):
             predicted = proposals[k, 0] * x + proposals[k, 1] * y + proposals[k, 2] * z
-            out[i, k] = np.float32(1.0) if abs(predicted - known) < allowed else np.float32(0.0)
+            out[i, k] = np.float32(1.0) if abs(predicted - known) < allowed * share[k] else np.float32(0.0)
 
 
-def _propose_by_windows(points: PlanePoints, pixel_index: tuple[np.ndarray, ...], side: int) -> np.ndarray:
+def _propose_by_windows(points: PlanePoints, side: int) -> np.ndarray:
     """One robust fit per square window of pixels."""
-    row, col = pixel_index[0] // side, pixel_index[1] // side
+    row, col = points.row // side, points.col // side
     _, window = np.unique(row * (col.max() + 1) + col, return_inverse=True)
     count = int(window.max()) + 1
     base = 1.0 / points.tolerance**2
     weight, normals = base, np.zeros((count, 3))
     for _ in range(ROBUST_ITERATIONS):  # Cauchy weights: few points on another surface do not bend the plane
-        normals = _fit_normals(points, weight, window, count)
+        normals = _fit_normals(points.directions, points.inverse_depth, weight, window, count)
         predicted = np.einsum("ij,ij->i", normals[window], points.directions)
         weight = base / (1.0 + ((predicted - points.inverse_depth) / points.tolerance) ** 2)
     return normals[np.bincount(window, minlength=count) > MIN_WINDOW_POINTS]
 
 
-def _fit_normals(points: PlanePoints, weight: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+def _fit_normals(
+    rays: np.ndarray, inverse_depth: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int
+) -> np.ndarray:
     """Weighted least-squares normals of ``count`` groups of points."""
-    matrix, vector = _normal_equations(points.directions, points.inverse_depth, weight, group, count)
+    matrix, vector = _normal_equations(rays, inverse_depth, weight, group, count)
     ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12  # groups on a line or a point stay solvable
     return np.asarray(np.linalg.solve(matrix + ridge[:, None, None] * np.eye(3), vector[..., None])[..., 0])
 
@@ -193,11 +251,15 @@ def _propose_upright(points: PlanePoints, up: np.ndarray, rng: np.random.Generat
     return np.asarray(np.linalg.solve(matrix, points.inverse_depth[pair][..., None])[..., 0] @ horizontal)
 
 
-def _refit_to_inliers(normal: np.ndarray, points: PlanePoints, is_unexplained: np.ndarray) -> np.ndarray:
-    """The plane fitted to its inliers among the points that no other plane has explained."""
+def fit_to_inliers(
+    normal: Float[np.ndarray, " 3"], equations: PlaneEquations, is_usable: Bool[np.ndarray, " points"]
+) -> Float[np.ndarray, " 3"]:
+    """The plane fitted to those of the usable points that a plane explains."""
+    group = np.zeros(len(is_usable), np.int64)
     for _ in range(ROBUST_ITERATIONS):
-        residual = points.residual(normal) / points.tolerance
-        is_inlier = np.abs(residual) < OUTLIER_TOLERANCE_FACTOR
-        weight = is_unexplained * is_inlier / (points.tolerance**2 * (1.0 + residual**2))
-        normal = _fit_normals(points, weight, np.zeros(len(residual), np.int64), 1)[0]
+        allowed = equations.allowed(normal)
+        residual = (equations.rays @ normal - equations.inverse_depth) / allowed
+        is_inlier = is_usable & (np.abs(residual) < OUTLIER_TOLERANCE_FACTOR)
+        weight = is_inlier / (allowed**2 * (1.0 + residual**2))
+        normal = _fit_normals(equations.rays, equations.inverse_depth, weight, group, 1)[0]
     return normal

@@ -4,25 +4,32 @@ Windows that face the camera do not match on the ground between two distant came
 differently. Windows that lie on the swept plane do. Gravity is known, so horizontal planes need one parameter only.
 
 A plane counts if both panoramas find it. Planes are found one after the other: what one explains proposes no other.
+Each is then measured: its pixels are matched a row to either side, and a plane is fitted to where they match best.
 
 Source: Gallup et al., Real-time plane-sweeping stereo with multiple sweeping directions, CVPR 2007.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8, UInt64
+from jaxtyping import Float, Float32, UInt8, UInt64
 
 from omnisyn_cli.geometry.sampling import filter_across_seam
-from omnisyn_cli.stereo.costs import CENSUS_RADIUS, census_transform, luminance_of, surface_cost
-from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
+from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
+from omnisyn_cli.stereo.plane_fitting import (
+    PlaneEquations,
+    PlanePoints,
+    find_planes,
+    fit_to_inliers,
+    planes_from_second,
+)
+from omnisyn_cli.stereo.rectify import RectifiedPair
 
-__all__ = ["SweepDirection", "plane_from_second", "sweep_planes"]
+__all__ = ["SweepDirection", "sweep_planes"]
 
 SWEEP_ROWS = 128
 """Rows of the images that are swept. At twice as many the same planes are found in four times the time."""
@@ -36,9 +43,6 @@ SWEEP_STEPS = 64
 MIN_INCIDENCE_SINE = 0.14
 """Sine of the angle (8°) between a ray and a plane: rays that graze it more closely are not compared."""
 
-MIN_TEXTURE_VARIANCE = 1e-4
-"""Variance of the luminance in a window, which is (2.5/255)²: less texture decides nothing."""
-
 GOOD_COST = 0.28
 """A pixel speaks for a plane by what its cost is below this. Unrelated windows have a cost of about 1."""
 
@@ -47,9 +51,6 @@ EXPLAINED_COST = 0.2
 
 SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION = 0.3, 0.1
 """As ``colour_weight`` and ``colour_truncation`` of matching; less of the first, because exposures may differ."""
-
-MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
-"""In 1/baselines and in baselines: farther planes are infinity, and nearer ones pass through the second camera."""
 
 MAX_SWEPT_PLANES = 4
 """Per pair; the next ones explained less than a hundredth of the sphere on generated scenes."""
@@ -63,14 +64,18 @@ MIN_PEAK_RATIO = 2.0
 MIN_PEAK_EXCESS = 0.002
 """Least score of a plane above that median, as a share of the textured sphere that it explains perfectly."""
 
-REFINE_ROUNDS = 12
-"""Of the pattern search in the swept images; its steps halve whenever none of them is better."""
+COARSE_FITS, FINE_FITS = 4, 1
+"""Of a plane to its pixels in the swept images, where a row is 1.4°, and then in the pair."""
 
-FINE_ROUNDS = 6
-"""Of the search in the pair, which begins near the best plane."""
+SLOPE_WINDOW, MIN_SLOPE_SCORE, MIN_SLOPE_SUPPORT = 9, 0.04, 0.05
+"""Sloping ground is fitted to the level planes that fit best in windows of 9×9 pixels. Their mean score has to be 0.04
+(level windows hardly match on a slope), and a twentieth of them has to agree."""
 
-REFINE_DISTANCE_STEP, REFINE_TILT_STEP = 0.02, math.radians(1.0)
-"""First steps of the search in the swept images: share of the distance, and radians. In the pair they are a quarter."""
+MIN_SLOPE_COSINE = 0.94
+"""Cosine of the steepest slope of ground (20°)."""
+
+COST_WINDOW = 5
+"""Side in pixels of the window in which costs are averaged before the best row is taken."""
 
 
 @dataclass(frozen=True)
@@ -90,50 +95,48 @@ class SweepDirection:
         weight = np.sin(self.pair.grid.polar_angle) * (is_textured(self.pair.first) & self.pair.first_usable)
         return np.asarray(weight / max(float(weight.sum()), 1e-9), np.float32)
 
-    def cost(self, normal: Float[np.ndarray, " 3"]) -> Float32[np.ndarray, "height width"]:
-        """Matching cost of a plane where rays meet it and there is texture; 1 elsewhere."""
-        inverse_depth = self.pair.grid.directions @ normal
-        compared = (inverse_depth > MIN_INCIDENCE_SINE * np.linalg.norm(normal)) & (self.weight > 0)
-        disparity = np.where(compared, self.pair.grid.disparity(inverse_depth), np.float32(-1.0))
+    def disparity(self, normals: Float[np.ndarray, "planes 3"]) -> Float32[np.ndarray, "height width"]:
+        """Rows for the nearest of some planes; −1 where no ray meets one steeply enough and where is no texture."""
+        inverse_depth = np.full(self.pair.size, -1.0)
+        for normal in normals:
+            along = self.pair.grid.directions @ normal
+            is_met = along > MIN_INCIDENCE_SINE * np.linalg.norm(normal)
+            inverse_depth = np.where(is_met, np.maximum(along, inverse_depth), inverse_depth)
+        return self.pair.grid.disparity(np.where(self.weight > 0, inverse_depth, -1.0))
+
+    def cost(self, disparity: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
+        """Matching cost of a surface; 1 where its disparity is negative."""
         cost = surface_cost(
-            self.pair.first, self.census, self.pair.second, self.pair.second_usable, disparity.astype(np.float32),
+            self.pair.first, self.census, self.pair.second, self.pair.second_usable, disparity,
             SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION,
         )  # fmt: skip
-        return np.where(compared, cost, np.float32(1.0))
+        return np.where(disparity >= 0, cost, np.float32(1.0))
 
-    def score(self, normal: Float[np.ndarray, " 3"]) -> float:
-        """How much of the textured sphere a plane explains, in [0, 1]."""
-        return float((np.maximum(1.0 - self.cost(normal) / GOOD_COST, 0.0) * self.weight).sum())
+    def matched_points(self, normal: Float[np.ndarray, " 3"]) -> PlanePoints:
+        """Points near a plane: where pixels match best that it shows, up to a row and a half to either side."""
+        grid = self.pair.grid
+        disparity = self.disparity(normal[None])
+        average = partial(cv2.blur, ksize=(COST_WINDOW, COST_WINDOW))
+        before, at, after = (
+            filter_across_seam(average, self.cost(np.where(disparity >= 0, np.maximum(disparity + rows, 0.0), -1.0)),
+                               COST_WINDOW)
+            for rows in (np.float32(-1.0), np.float32(0.0), np.float32(1.0))
+        )  # fmt: skip
+        curvature = before - 2.0 * at + after
+        vertex = 0.5 * (before - after) / np.where(curvature > 0, curvature, np.inf)
+        is_inside = (at <= before) & (at <= after)
+        offset = np.where(is_inside, vertex, np.where(before < after, -1.0, 1.0))
+        best = np.minimum(at, np.minimum(before, after))
+        row, col = np.nonzero((disparity >= 0) & (best < GOOD_COST))
+        found = np.maximum(disparity[row, col] + offset[row, col], 0.0)
+        inverse_depth, tolerance = grid.inverse_depth(found, row), grid.inverse_depth_per_row(found, row)
+        return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, self.weight[row, col], row, col)
 
 
 Directions = tuple[SweepDirection, SweepDirection]
 
 
-def is_textured(image: Float[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
-    """Where the luminance varies within a window of the census."""
-    luminance = luminance_of(image)
-    side = 2 * CENSUS_RADIUS + 1
-    blur = partial(cv2.blur, ksize=(side, side))
-    mean = filter_across_seam(blur, luminance, CENSUS_RADIUS)
-    square = filter_across_seam(blur, luminance * luminance, CENSUS_RADIUS)
-    return np.asarray(square - mean * mean > MIN_TEXTURE_VARIANCE)
-
-
-def plane_from_second(normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"] | None:
-    """The plane as the second camera sees it, in the frame of the reversed pair.
-
-    None if it is behind that camera, passes through it or is infinitely far. The second camera is one baseline along
-    +y. The rule is its own inverse.
-    """
-    inverse_distance = float(np.linalg.norm(normal))
-    if inverse_distance < MIN_INVERSE_DISTANCE:
-        return None
-    unit = normal / inverse_distance
-    distance = 1.0 / inverse_distance - unit[1]
-    return HALF_TURN_ABOUT_Z @ unit / distance if distance > MIN_SECOND_DISTANCE else None
-
-
-def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[Float[np.ndarray, " 3"]]:
+def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> Float[np.ndarray, "planes 3"]:
     """Horizontal planes below and above the cameras that both panoramas see, best supported first.
 
     Each is a normal in the frame of the pair, as long as the inverse distance of its plane from the first camera
@@ -147,89 +150,134 @@ def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[Float[np.n
     small = pair.resized((rows, 2 * rows))
     coarse = SweepDirection(small), SweepDirection(small.reversed())
     fine = SweepDirection(pair), SweepDirection(reverse)
-    found = _greedy_planes(coarse, (-pair.grid.up, pair.grid.up))
-    return [_refine(fine, _refine(coarse, normal, REFINE_ROUNDS, 1.0), FINE_ROUNDS, 0.25) for normal in found]
+    planes = [_fit(fine, _fit(coarse, normal, COARSE_FITS), FINE_FITS) for normal in _greedy_planes(coarse)]
+    return np.array(planes).reshape(-1, 3)
 
 
-def _greedy_planes(directions: Directions, units: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+@dataclass(frozen=True)
+class LevelSweep:
+    """How well each pixel fits level planes at some distances: below the horizon planes below the camera, else above.
+
+    Attributes:
+        directions: the images that were swept.
+        distances: of the planes from the first camera, in baselines.
+        scores: ``(2, distances, pixels)``: 255 times ``1 − cost / GOOD_COST``, at least 0.
+    """
+
+    directions: Directions
+    distances: Float[np.ndarray, " distances"]
+    scores: UInt8[np.ndarray, "2 distances pixels"]
+
+    @staticmethod
+    def of(directions: Directions) -> LevelSweep:
+        """The sweep of both images."""
+        distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
+        up = directions[0].pair.grid.up
+        scores = np.zeros((2, len(distances), directions[0].weight.size), np.uint8)
+        for k, distance in enumerate(distances):
+            normals = np.stack([-up, up]) / distance
+            seen = normals, planes_from_second(normals)  # a plane that is not seen is NaN and met by no ray
+            for direction, each, out in zip(directions, seen, scores[:, k], strict=True):
+                out[:] = 255.0 * _scores(direction, each).ravel()
+        return LevelSweep(directions, distances, scores)
+
+    def weights(self, side: int) -> list[Float32[np.ndarray, " pixels"]]:
+        """Of the pixels below (0) or above (1) the horizon, for both images."""
+        sign = 2 * side - 1
+        return [each.weight.ravel() * (sign * each.pair.grid.sin_elevation.ravel() > 0) for each in self.directions]
+
+    def totals(self, weights: list[np.ndarray]) -> Float[np.ndarray, "2 distances"]:
+        """Share of the textured sphere that each plane explains, in both images."""
+        # einsum sums in one order, whatever the number of threads; a matrix product does not
+        pairs = zip(self.scores, weights, strict=True)
+        return np.stack([np.einsum("dp,p->d", scores, weight) / 255.0 for scores, weight in pairs])
+
+    def best_points(self, which: int) -> PlanePoints:
+        """Every textured pixel below the horizon at the distance that fits best around it, within a step."""
+        direction = self.directions[which]
+        grid = direction.pair.grid
+        scores = np.ascontiguousarray(self.scores[which].reshape(-1, *direction.pair.size).transpose(1, 2, 0))
+        average = partial(cv2.blur, ksize=(SLOPE_WINDOW, SLOPE_WINDOW))
+        around = filter_across_seam(average, scores, SLOPE_WINDOW)
+        row, col = np.nonzero((around.max(axis=-1) > 255 * MIN_SLOPE_SCORE) & (direction.weight > 0))
+        down = -grid.up[None] / self.distances[:, None]
+        inverse_distance = np.linalg.norm(planes_from_second(down) if which else down, axis=-1)
+        best = inverse_distance[around[row, col].argmax(axis=-1)]
+        inverse_depth = -grid.sin_elevation[row, col] * best
+        is_below = inverse_depth > MIN_INCIDENCE_SINE * best
+        row, col, inverse_depth = row[is_below], col[is_below], inverse_depth[is_below]
+        tolerance = inverse_depth * (self.distances[1] / self.distances[0] - 1.0)
+        return PlanePoints(
+            grid.directions[row, col], inverse_depth, tolerance, direction.weight[row, col].astype(float), row, col
+        )
+
+
+def _scores(direction: SweepDirection, normals: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "height width"]:
+    """How well each pixel fits the nearest of some planes, in [0, 1]."""
+    return np.asarray(np.maximum(1.0 - direction.cost(direction.disparity(normals)) / GOOD_COST, 0.0))
+
+
+def _greedy_planes(directions: Directions) -> list[np.ndarray]:
     """The planes that explain most, one after the other, each of what those before it leave unexplained."""
-    distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
-    volumes = [_score_volume(directions, unit, distances) for unit in units]
-    weights = [direction.weight.ravel().copy() for direction in directions]
+    sweep = LevelSweep.of(directions)
+    up = directions[0].pair.grid.up
+    weights = [sweep.weights(side) for side in (0, 1)]
+    is_open = np.ones((2, len(sweep.distances)), bool)
     found: list[np.ndarray] = []
     while len(found) < MAX_SWEPT_PLANES:
-        peaks = [_peak(volume, weights) for volume in volumes]
-        excess, at, sweep = max((*peak, k) for k, peak in enumerate(peaks))
+        peaks = [_peak(sweep.totals(weights[side]) * is_open[side]) for side in (0, 1)]
+        excess, at, side = max((*peak, k) for k, peak in enumerate(peaks))
         if excess < MIN_PEAK_EXCESS:
             break
-        found.append(units[sweep] / distances[at])
-        for weight, scores in zip(weights, volumes[sweep], strict=True):
+        found.append((2 * side - 1) * up / sweep.distances[at])
+        for weight, scores in zip(weights[side], sweep.scores, strict=True):
             weight[scores[at - 1 : at + 2].max(axis=0) > 255 * (1.0 - EXPLAINED_COST / GOOD_COST)] = 0.0
-        volumes[sweep][:, max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = 0
-    return found
+        is_open[side, max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = False
+    has_floor = any(normal @ up < 0 for normal in found)
+    return found if has_floor else [*_sloped_ground(sweep), *found]
 
 
-def _score_volume(
-    directions: Directions, unit: np.ndarray, distances: np.ndarray
-) -> UInt8[np.ndarray, "2 distances pixels"]:
-    """For both panoramas, each plane and pixel: how well it fits, of 255."""
-    volume = np.zeros((2, len(distances), directions[0].weight.size), np.uint8)
-    for k, distance in enumerate(distances):
-        normals = unit / distance, plane_from_second(unit / distance)
-        for direction, normal, scores in zip(directions, normals, volume[:, k], strict=True):
-            if normal is not None:
-                scores[:] = (np.maximum(1.0 - direction.cost(normal) / GOOD_COST, 0.0) * 255.0).ravel()
-    return volume
-
-
-def _peak(volume: np.ndarray, weights: list[np.ndarray]) -> tuple[float, int]:
+def _peak(totals: Float[np.ndarray, "2 distances"]) -> tuple[float, int]:
     """Excess over the median and index of the best distance; an excess of 0 if there is no peak.
 
     Of both panoramas the worse one counts. A maximum at either end of the sweep is none.
     """
-    # einsum sums in one order, whatever the number of threads; a matrix product does not
-    scores = np.stack(
-        [np.einsum("dp,p->d", each, weight) / 255.0 for each, weight in zip(volume, weights, strict=True)]
-    )
-    median = np.median(scores, axis=1, keepdims=True)
-    excess, ratio = (scores - median).min(axis=0), (scores / np.maximum(median, 1e-4)).min(axis=0)
+    median = np.median(totals, axis=1, keepdims=True)
+    excess, ratio = (totals - median).min(axis=0), (totals / np.maximum(median, 1e-4)).min(axis=0)
     at = int(excess.argmax())
     if at in (0, len(excess) - 1) or ratio[at] < MIN_PEAK_RATIO:
         return 0.0, at
     return float(excess[at]), at
 
 
-def _refine(
-    directions: Directions, normal: Float[np.ndarray, " 3"], rounds: int, step: float
-) -> Float[np.ndarray, " 3"]:
-    """Pattern search over distance and tilt for the plane that explains most in both panoramas."""
-    step_distance, step_tilt = step * REFINE_DISTANCE_STEP, step * REFINE_TILT_STEP
-    best = _score_in_both(directions, normal)
-    for _ in range(rounds):
-        improved = False
-        for trial in _neighbours(normal, step_distance, step_tilt):
-            score = _score_in_both(directions, trial)
-            if score > best:
-                best, normal, improved = score, trial, True
-        if not improved:
-            step_distance, step_tilt = step_distance / 2.0, step_tilt / 2.0
+def _sloped_ground(sweep: LevelSweep) -> list[np.ndarray]:
+    """The ground where it slopes too much to be a peak of level planes: fitted to the best level plane of each pixel.
+
+    It counts by the rule for peaks.
+    """
+    up = sweep.directions[0].pair.grid.up
+    points = sweep.best_points(0), sweep.best_points(1)
+    median = np.median(sweep.totals(sweep.weights(0)), axis=1)
+    for proposal in find_planes(points, up, max_planes=MAX_SWEPT_PLANES, min_support=MIN_SLOPE_SUPPORT):
+        normal = _fit(sweep.directions, proposal, COARSE_FITS)
+        seen = normal[None], planes_from_second(normal[None])
+        totals = [
+            float((_scores(direction, each) * direction.weight).sum())
+            for direction, each in zip(sweep.directions, seen, strict=True)
+        ]
+        excess, ratio = min(totals - median), min(totals / np.maximum(median, 1e-4))
+        is_steep = -(normal @ up) < MIN_SLOPE_COSINE * np.linalg.norm(normal)
+        if not is_steep and excess > MIN_PEAK_EXCESS and ratio > MIN_PEAK_RATIO:
+            return [normal]
+    return []
+
+
+def _fit(directions: Directions, normal: Float[np.ndarray, " 3"], times: int) -> Float[np.ndarray, " 3"]:
+    """The plane fitted again and again to where the pixels of both panoramas match best that it shows."""
+    for _ in range(times):
+        normals = normal, planes_from_second(normal[None])[0]
+        equations = PlaneEquations.of(
+            *(direction.matched_points(each) for direction, each in zip(directions, normals, strict=True))
+        )
+        normal = fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool))
     return normal
-
-
-def _score_in_both(directions: Directions, normal: np.ndarray) -> float:
-    from_second = plane_from_second(normal)
-    return directions[0].score(normal) + (directions[1].score(from_second) if from_second is not None else 0.0)
-
-
-def _neighbours(normal: np.ndarray, step_distance: float, step_tilt: float) -> list[np.ndarray]:
-    """The plane nearer and farther, and tilted four ways."""
-    inverse_distance = float(np.linalg.norm(normal))
-    unit = normal / inverse_distance
-    side = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
-    side /= np.linalg.norm(side)
-    tilted = [unit + sign * step_tilt * axis for axis in (side, np.cross(unit, side)) for sign in (1.0, -1.0)]
-    return [
-        normal * (1.0 + step_distance),
-        normal / (1.0 + step_distance),
-        *(inverse_distance * each / np.linalg.norm(each) for each in tilted),
-    ]

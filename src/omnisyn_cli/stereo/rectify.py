@@ -128,15 +128,22 @@ class EpipolarGrid:
         parallax = parallax_from_inverse_depth(self.polar_angle, np.maximum(inverse_depth, 0.0))
         return np.where(inverse_depth < 0, -1.0, parallax * (self.height / math.pi)).astype(np.float32)
 
-    def inverse_depth(self, disparity: np.ndarray) -> Float[np.ndarray, "height width"]:
-        """In 1/baselines, in [0, :data:`MAX_INVERSE_DEPTH`]."""
+    def inverse_depth(self, disparity: np.ndarray, row: np.ndarray | None = None) -> Float[np.ndarray, "*pixels"]:
+        """In 1/baselines, in [0, :data:`MAX_INVERSE_DEPTH`]; of whole images, or of single pixels in some rows."""
         parallax = np.maximum(disparity, 0.0) * (math.pi / self.height)
-        return np.asarray(np.minimum(inverse_depth_from_parallax(self.polar_angle, parallax), MAX_INVERSE_DEPTH))
+        inverse_depth = inverse_depth_from_parallax(self._polar_angle_of(row), parallax)
+        return np.asarray(np.minimum(inverse_depth, MAX_INVERSE_DEPTH))
 
-    def inverse_depth_per_row(self, disparity: np.ndarray) -> Float[np.ndarray, "height width"]:
+    def inverse_depth_per_row(
+        self, disparity: np.ndarray, row: np.ndarray | None = None
+    ) -> Float[np.ndarray, "*pixels"]:
         """How much inverse depth one row of disparity is worth: the derivative of ``sin δ / sin(polar_angle + δ)``."""
-        far_angle = np.minimum(self.polar_angle + disparity * (math.pi / self.height), math.pi - 1e-3)
-        return np.asarray(np.sin(self.polar_angle) / np.sin(far_angle) ** 2 * (math.pi / self.height))
+        polar_angle = self._polar_angle_of(row)
+        far_angle = np.minimum(polar_angle + disparity * (math.pi / self.height), math.pi - 1e-3)
+        return np.asarray(np.sin(polar_angle) / np.sin(far_angle) ** 2 * (math.pi / self.height))
+
+    def _polar_angle_of(self, row: np.ndarray | None) -> np.ndarray:
+        return self.polar_angle if row is None else self.polar_angle[row, 0]
 
     def is_away_from_epipoles(self, degrees: float) -> Bool[np.ndarray, "height 1"]:
         """Rows that are farther than an angle from both epipoles, where parallax vanishes."""

@@ -8,20 +8,13 @@ Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-ba
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from omnisyn_cli.geometry.sampling import filter_across_seam
-from omnisyn_cli.stereo.costs import census_transform, luminance_of, surface_cost
+from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
-from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
-from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST, SweepDirection
-from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, EpipolarGrid, RectifiedPair
+from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, resize_area
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
 BEHIND_CAMERA = np.float32(-1.0)
@@ -33,12 +26,15 @@ PLANE_SUPPORT_SIGMAS_PER_HEIGHT = 24.0
 FULL_PLANE_SUPPORT_DENSITY = 0.05
 """Share of supporting points around a pixel from which support counts fully; chosen by eye."""
 
+DENSITY_ROWS = 64
+"""Rows of the masks that are blurred: 2.8° each, where the blur spreads over 7.5°."""
+
+EXPLAINED_COST = 0.2
+"""A textured pixel whose plane has a lower cost speaks for the plane. Unrelated windows have a cost of about 1."""
+
 FULL_EXPLAINED_SHARE = 0.1
 """Share of the texture around a pixel from which on a plane that explains it is fully supported. Windows that do not
 belong together hardly ever agree by chance."""
-
-SAME_PLANE_TOLERANCE = 0.03
-"""Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity."""
 
 MIN_SKY_EPIPOLE_SINE = 0.35
 """Sine of the angle to an epipole (20°) from which on static texture means that it is far."""
@@ -56,33 +52,27 @@ LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 """A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row."""
 
 
-class PlaneCandidates(NamedTuple):
-    """Planes that pixels may lie on.
-
-    Attributes:
-        normals: in the frame of the pair, as long as the inverse distance of the plane (1/baselines).
-        support: how much speaks for each plane around every pixel, in [0, 1].
-    """
-
-    normals: Float[np.ndarray, "planes 3"]
-    support: Float32[np.ndarray, "height width planes"]
-
-
 def label_surfaces(
-    pair: RectifiedPair, matches: DisparityMap, candidates: PlaneCandidates, options: MatchingOptions
+    pair: RectifiedPair, matches: DisparityMap, planes: Float[np.ndarray, "planes 3"], options: MatchingOptions
 ) -> DisparityMap:
     """The surface that explains each pixel best, given left-right consistent matches and planes.
 
     A plane is valid also where there is no texture; a match is not.
+
+    Args:
+        pair: the images.
+        matches: of the first one.
+        planes: normals in the frame of the pair, as long as the inverse distance (1/baselines), best supported first.
+        options: of the matching.
     """
     grid = pair.grid
-    planes, support = candidates
     is_static = _static_texture(grid, matches)
     is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
-    if is_sky_open:
-        support = np.concatenate([support, _plane_support(is_static)[..., None]], axis=-1)
     disparities = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
     cost = _candidate_costs(pair, disparities, options)
+    support = _plane_support(pair, matches, planes, cost[..., 1 : 1 + len(planes)])
+    if is_sky_open:
+        support = np.concatenate([support, _spread(is_static)[..., None]], axis=-1)
     is_beyond = disparities < _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
     cost += options.beyond_room_penalty * is_beyond
     cost[..., 0] += np.where(matches.valid, options.valid_match_bias, options.invalid_match_bias)
@@ -131,73 +121,23 @@ def _candidate_costs(pair: RectifiedPair, candidates: np.ndarray, options: Match
     return np.stack(costs, axis=-1)
 
 
-def fit_planes(pair: RectifiedPair, matches: DisparityMap, options: MatchingOptions) -> PlaneCandidates:
-    """Planes through the unique ones of left-right consistent matches, supported by their inliers."""
+def _plane_support(
+    pair: RectifiedPair, matches: DisparityMap, planes: np.ndarray, cost: np.ndarray
+) -> Float32[np.ndarray, "height width planes"]:
+    """How much speaks for each plane around every pixel, in [0, 1]: matches on it, or texture that it explains."""
     grid = pair.grid
-    inverse_depth = grid.inverse_depth(matches.disparity)
-    usable = matches.valid & (inverse_depth < MAX_INVERSE_DEPTH)
-    if matches.unique is not None:
-        usable &= matches.unique
-    tolerance = grid.inverse_depth_per_row(matches.disparity)  # an inlier is off by at most one row
-    solid_angle = np.broadcast_to(np.sin(grid.polar_angle), usable.shape)
-    points = PlanePoints(grid.directions[usable], inverse_depth[usable], tolerance[usable])
-    planes = find_planes(
-        points, solid_angle[usable], np.nonzero(usable), grid.up,
-        max_planes=options.max_planes, min_support=options.min_plane_support,
-    )  # fmt: skip
-    support = np.empty((*usable.shape, len(planes)), np.float32)
+    inverse_depth, tolerance = grid.inverse_depth(matches.disparity), grid.inverse_depth_per_row(matches.disparity)
+    textured = is_textured(pair.first)
+    texture = np.maximum(_density(textured), FULL_PLANE_SUPPORT_DENSITY)
+    support = np.empty((*cost.shape[:2], len(planes)), np.float32)
     for k, normal in enumerate(planes):
-        support[..., k] = _plane_support(usable & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
-    return PlaneCandidates(planes, support)
+        is_inlier = matches.valid & (np.abs(grid.directions @ normal - inverse_depth) < tolerance)
+        share = _density(textured & (cost[..., k] < EXPLAINED_COST)) / texture
+        support[..., k] = np.maximum(_spread(is_inlier), np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
+    return support
 
 
-def merge_planes(
-    pair: RectifiedPair, own: PlaneCandidates, swept: Sequence[np.ndarray], others: Sequence[np.ndarray]
-) -> PlaneCandidates:
-    """The candidates of one direction with planes that a sweep or the other direction found.
-
-    A swept plane replaces those that are nearly the same: it is more exact, and both directions have it. What others
-    found is supported where the images agree on it.
-    """
-    normals, support = list(own.normals), list(np.moveaxis(own.support, -1, 0))
-    direction = SweepDirection(pair)
-    textured = _density(direction.weight > 0)
-    is_floor_known = False
-    for normal in swept:
-        same = [k for k, each in enumerate(normals) if _is_same_plane(normal, each)]
-        supports = [_image_support(direction, normal, textured), *(support[k] for k in same)]
-        for k in reversed(same):
-            del normals[k], support[k]
-        is_floor = not is_floor_known and bool(normal @ pair.grid.up < 0)
-        is_floor_known |= is_floor
-        at = 0 if is_floor else len(normals)  # the best swept floor is the one that bounds what lies below
-        normals.insert(at, normal)
-        support.insert(at, np.max(supports, axis=0))
-    for normal in others:
-        if not any(_is_same_plane(normal, each) for each in normals):
-            normals.append(normal)
-            support.append(_image_support(direction, normal, textured))
-    if not normals:
-        return own
-    return PlaneCandidates(np.array(normals), np.stack(support, axis=-1))
-
-
-def _is_same_plane(normal: np.ndarray, other: np.ndarray) -> bool:
-    return bool(np.linalg.norm(normal - other) < SAME_PLANE_TOLERANCE * np.linalg.norm(normal))
-
-
-def _image_support(
-    direction: SweepDirection, normal: np.ndarray, textured: np.ndarray
-) -> Float32[np.ndarray, "height width"]:
-    """1 where a plane explains enough of the texture around, falling to 0 where it explains none.
-
-    ``textured`` is the share of textured pixels around each one.
-    """
-    share = _density(direction.cost(normal) < EXPLAINED_COST) / np.maximum(textured, FULL_PLANE_SUPPORT_DENSITY)
-    return np.asarray(np.minimum(share / FULL_EXPLAINED_SHARE, np.float32(1.0)))
-
-
-def _plane_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
+def _spread(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     """1 among pixels of a mask, falling to 0 some 10° away."""
     return np.asarray(np.minimum(_density(mask) / FULL_PLANE_SUPPORT_DENSITY, 1.0))
 
@@ -205,8 +145,11 @@ def _plane_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
 def _density(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     """Share of the pixels around each one that are in a mask."""
     height, width = mask.shape
-    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=height / PLANE_SUPPORT_SIGMAS_PER_HEIGHT)
-    return filter_across_seam(blur, mask.astype(np.float32), max(1, width // 8))
+    rows = min(DENSITY_ROWS, height)
+    small = np.tile(resize_area(mask.astype(np.float32), (rows, 2 * rows)), 2)  # two turns, so that the seam is inside
+    blurred = cv2.GaussianBlur(small, (0, 0), sigmaX=rows / PLANE_SUPPORT_SIGMAS_PER_HEIGHT)
+    large = cv2.resize(blurred, (2 * width, height))
+    return np.concatenate([large[:, width : width + width // 2], large[:, width // 2 : width]], axis=1)
 
 
 def _can_show_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
