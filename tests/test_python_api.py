@@ -1,9 +1,11 @@
 """What ``import omnisyn_cli`` offers: light to import, complete, and its documentation runs."""
 
+import pydoc
 import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +13,10 @@ import pytest
 
 import omnisyn_cli as omnisyn
 from omnisyn_cli.cli import cli
-from omnisyn_cli.errors import ImageError
+from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.evaluation import public_api as verbs_that_compare
 from omnisyn_cli.interpolation import api
+from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.io import read_panorama
 from synthesis_samples import SIZE, hall_image, hall_view, posed, write_hall, ws_psnr
 
@@ -70,3 +73,42 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path) -> None:
         omnisyn.write_video(tmp_path / "none.mp4", [])
     with pytest.raises(ValueError, match="preset of fast"):
         list(omnisyn.make_frames([hall_view(posed((0, 0, z))) for z in (0.5, -0.5)], 3, "hasty"))
+
+
+def test_a_single_name_is_no_list_of_panoramas(tmp_path: Path) -> None:
+    for verb in (
+        lambda: omnisyn.read_views("a.jpg", "p.json"),
+        lambda: omnisyn.interpolate("a.jpg", "p.json", "o.mp4"),
+    ):
+        with pytest.raises(InputError, match=r"got the single name 'a\.jpg'"):
+            verb()
+
+
+@pytest.mark.parametrize("size", ["128x64", (128, 64), (64, 128)])
+def test_sizes_are_names_or_both_numbers(tmp_path: Path, size: str | tuple[int, int]) -> None:
+    images = write_hall(tmp_path, [posed((0, 0, 0.3)), posed((0, 0, -0.3))], (32, 64))
+    poses = tmp_path / "poses.json"
+    frames = omnisyn.make_frames(omnisyn.read_views(images, poses), 2, "fast", size=size)
+    assert next(frames).shape == (64, 128, 3)
+    made = omnisyn.interpolate([str(image) for image in images], str(poses), str(tmp_path / "o"), frames=2, size=size)
+    assert made.plan.size == (64, 128)
+    assert repr(made).startswith(f"Summary({tmp_path / 'o'}: 2 png images of 128x64 in ")
+    assert "\n" not in repr(made)
+
+
+@pytest.mark.parametrize("size", ["64x128", "64", (64, 64), (1, 2, 3), "0x0"])
+def test_a_size_that_is_none_says_what_is(size: str | tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="twice as wide as high, such as 2048x1024"):
+        list(omnisyn.make_frames([hall_view(posed((0, 0, z))) for z in (0.5, -0.5)], 3, size=size))  # type: ignore[arg-type]
+
+
+def test_a_view_is_shown_in_a_line() -> None:
+    assert repr(hall_view(posed((0, 0.25, -1)))) == "View(128x64 at (0, 0.25, -1) m, with depth)"
+
+
+def test_help_lists_every_option_with_its_type() -> None:
+    text = pydoc.render_doc(omnisyn.interpolate, renderer=pydoc.plaintext)
+    for field in fields(InterpolationJob):
+        assert re.search(rf"\b{field.name}: .*", text), field.name
+    assert "frames: int | None = None" in text or "frames: Optional[int] = None" in text
+    assert "one of :data:`omnisyn_cli.pipeline.presets.PRESETS`" in text

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Integer, Shaped, UInt8
 
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.geometry.perspective import target_tables
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import direction_tables
 
 __all__ = [
     "DEPTH_CONFIDENCE_GAIN",
@@ -79,6 +79,13 @@ class View:
     is_clipped: bool = False
     image_uint8: UInt8[np.ndarray, "height width 3"] | None = None
 
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        place = ", ".join(f"{metres:.3g}" for metres in self.pose.position)
+        extras = {"mask": self.mask, "depth": self.known_depth}
+        known = "".join(f", with {name}" for name, value in extras.items() if value is not None)
+        return f"View({width}x{height} at ({place}) m{known})"
+
     def check_shape(self) -> None:
         """Raise ImageError unless the image is 2:1."""
         height, width = self.image.shape[:2]
@@ -111,8 +118,13 @@ class DirectionTables(NamedTuple):
 
     @staticmethod
     def of_size(height: int, width: int) -> DirectionTables:
-        """Of all pixels of a target."""
-        return DirectionTables(*(table.astype(np.float32) for table in direction_tables(height, width)))
+        """Of all pixels of an equirectangular target."""
+        return DirectionTables.of_target((height, width))
+
+    @staticmethod
+    def of_target(size: tuple[int, int]) -> DirectionTables:
+        """Of all pixels of a target of any kind, see :mod:`omnisyn_cli.geometry.perspective`."""
+        return DirectionTables(*(table.astype(np.float32) for table in target_tables(size)))
 
     def of_rows(self, rows: slice | Integer[np.ndarray, " some"]) -> DirectionTables:
         """Of some rows."""

@@ -57,10 +57,10 @@ class SectionedCommand(click.Command):
 
 def by_section(options: Iterable[click.Option]) -> dict[str, list[click.Option]]:
     """Options by the name of their section, in the order of the sections."""
-    home = {name: section for section, names in SECTIONS.items() for name in names.split()}
+    home: dict[str | None, str] = {name: section for section, names in SECTIONS.items() for name in names.split()}
     found: dict[str, list[click.Option]] = {section: [] for section in SECTIONS}
     for option in options:
-        found[home.get(str(option.name), next(reversed(SECTIONS)))].append(option)
+        found[home.get(option.name, "Other")].append(option)
     return found
 
 

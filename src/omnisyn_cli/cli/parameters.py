@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.pipeline.config import frame_size
+
 if TYPE_CHECKING:
     SizeType = click.ParamType[tuple[int, int]]
 else:
@@ -98,7 +100,7 @@ class Size(SizeType):
         """Two positive numbers, twice as wide as high."""
         if isinstance(value, tuple):
             return value
-        width, _, height = str(value).lower().partition("x")
-        if not (width.isdecimal() and height.isdecimal()) or int(width) == 0 or int(width) != 2 * int(height):
-            self.fail(f"expected WIDTHxHEIGHT, twice as wide as high, such as 2048x1024, got {value!r}", param, ctx)
-        return int(height), int(width)
+        try:
+            return frame_size(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)

@@ -5,24 +5,27 @@ evaluates. An estimator of depth or a fuser of your own is any callable with the
 :class:`~omnisyn_cli.types.DepthEstimator` or :class:`~omnisyn_cli.types.Fuser`.
 """
 
+import inspect
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
-from omnisyn_cli.errors import ImageError
+from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.checks import OUTPUTS
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, Recipe, frame_size
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
@@ -60,9 +63,9 @@ def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: fl
 
     Raises InputError: a file is missing or damaged, or the pose file does not name a panorama.
     """
+    paths, views = _paths(images), []
     file = read_poses(poses)
-    views = []
-    for path in map(Path, images):
+    for path in paths:
         panorama, entry = read_panorama(path), file.of(path)
         mask = usable_part(
             panorama.mask, panorama.image.shape[:2], (entry.mask,), math.radians(nadir_deg),
@@ -99,7 +102,7 @@ def make_frames(
     frames: int,
     recipe: Recipe | str = DEFAULT_PRESET,
     *,
-    size: tuple[int, int] | None = None,
+    size: str | tuple[int, int] | None = None,
     ease: Ease = "linear",
     heading: Heading = "panoramas",
     estimator: DepthEstimator | None = None,
@@ -112,7 +115,7 @@ def make_frames(
         views: two or more panoramas.
         frames: at least one per panorama.
         recipe: name of a preset, or a recipe. A preset takes the depth of the views where all of them have some.
-        size: height and width of the frames; that of the first panorama by default.
+        size: of the frames, such as ``"2048x1024"``, or (width, height); that of the first panorama by default.
         ease: ``linear`` or ``smooth``, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
         heading: which way frames look, likewise.
         estimator: finds depth in place of the recipe's.
@@ -125,7 +128,7 @@ def make_frames(
     path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
     is_known = estimator is None and all(view.known_depth is not None for view in views)
     chosen = _recipe(recipe).of_known_depth() if is_known and isinstance(recipe, str) else _recipe(recipe)
-    height, width = size or views[0].image.shape[:2]
+    height, width = views[0].image.shape[:2] if size is None else frame_size(size)
     method = make_method(chosen, (height, width), threads=threads, estimator=estimator, fuser=fuser)
     for frame in synthesize(views, path, method):
         yield np.array(np.clip(frame.image, 0.0, 1.0), np.float32)
@@ -167,12 +170,41 @@ def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | 
         images: two or more panoramas, in walking order.
         poses: pose file that names them all, or ``auto`` to find them in the pictures.
         output: video file, folder or file name pattern.
-        options: of :class:`omnisyn_cli.interpolation.job.InterpolationJob`.
+        options: those below; angles are in radians, and a size may be ``"2048x1024"`` or (width, height) too.
 
     Raises OmnisynError: something that was given cannot be used, or writing failed.
     """
-    job = InterpolationJob(tuple(map(Path, images)), Path(poses), Path(output), **options)
+    if options.get("size") is not None:
+        options["size"] = frame_size(options["size"])
+    options |= {name: Path(options[name]) for name in OUTPUTS if options.get(name) is not None}
+    options["masks"] = tuple(map(Path, options.get("masks", ())))
+    job = InterpolationJob(_paths(images), Path(poses), Path(output), **options)
     return run_interpolation(plan_interpolation(job))
+
+
+def _with_options(verb: inspect.Signature) -> inspect.Signature:
+    """The signature with every option in place of ``**options``, for ``help`` and for editors."""
+    types = get_type_hints(InterpolationJob)  # without their ranges
+    named = [parameter for parameter in verb.parameters.values() if parameter.kind is not parameter.VAR_KEYWORD]
+    options = [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=types[field.name]
+        )
+        for field in fields(InterpolationJob)
+        if field.name not in verb.parameters
+    ]
+    return verb.replace(parameters=[*named, *options])
+
+
+interpolate.__signature__ = _with_options(inspect.signature(interpolate))  # type: ignore[attr-defined]
+interpolate.__doc__ = "\n\n".join(inspect.getdoc(each) or "" for each in (interpolate, TourJob, InterpolationJob))
+
+
+def _paths(images: Sequence[Path | str]) -> tuple[Path, ...]:
+    """Names as paths; InputError: there is one name instead of several."""
+    if isinstance(images, str | Path):
+        raise InputError(f"expected a list of two or more panoramas, got the single name {str(images)!r}; write [a, b]")
+    return tuple(map(Path, images))
 
 
 def _recipe(recipe: Recipe | str) -> Recipe:

@@ -91,9 +91,24 @@ class TourSummary:
         return {}
 
     @property
-    def confidence(self) -> Any:
-        """How far each pair can be relied on, as plain values."""
-        return [{"first": index, **pair.describe()} for index, pair in self.pairs.items()]
+    def confidence(self) -> dict[str, Any] | None:
+        """The score of all is that of the worst pair; the shares are the means. None: nobody knows."""
+        if not self.plan.recipe.draws_surfaces:
+            return None
+        if not self.pairs:
+            return {"score": 1.0, "pairs": []}
+        described = [pair.describe() for pair in self.pairs.values()]
+        shares = {key: round(fmean(pair[key] for pair in described), 4) for key in described[0] if key != "score"}
+        return {
+            "score": min(pair["score"] for pair in described),
+            **shares,
+            "pairs": [{"first": index, **pair} for index, pair in zip(self.pairs, described, strict=True)],
+        }
+
+    def __repr__(self) -> str:
+        worst = f", confidence {min(pair.score for pair in self.pairs.values()):.2f}" if self.pairs else ""
+        what = f"{self.plan.job.output}: {self.plan.what()} in {self.seconds['total']:.1f} s"
+        return f"{type(self).__name__}({what}{worst})"
 
     def describe(self) -> dict[str, Any]:
         """The summary as plain values, for people and for JSON."""
@@ -137,7 +152,7 @@ class TourSummary:
         ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Summary(TourSummary):
     """What was done for a video. Encoding runs beside the other stages: ``encode`` is the time that they waited for it.
 
@@ -154,7 +169,8 @@ class Summary(TourSummary):
         """The time in the video and the direction in its picture then."""
         path = self.plan.path
         number = min(range(len(path)), key=lambda k: abs(path[k].segment + path[k].t - index - 0.5))
-        half_way = interpolate_pose(*(entry.pose for entry in self.plan.entries[index : index + 2]), t=0.5)
+        first, second = (entry.pose for entry in self.plan.entries[index : index + 2])
+        half_way = interpolate_pose(first, second, 0.5)
         shown = path[number].pose.rotation.T @ half_way.rotation @ direction
         return f"around {number / self.plan.job.fps:.1f} s, {direction_in_words(shown)}"
 
@@ -162,21 +178,6 @@ class Summary(TourSummary):
     def results(self) -> dict[str, Any]:
         """What was modelled, as plain values."""
         return self.made.describe()
-
-    @property
-    def confidence(self) -> dict[str, Any] | None:
-        """The clip's score is that of its worst pair; its shares are the means. None: nobody knows."""
-        if not self.plan.recipe.draws_surfaces:
-            return None
-        if not self.pairs:
-            return {"score": 1.0, "pairs": []}
-        described = [pair.describe() for pair in self.pairs.values()]
-        shares = {key: round(fmean(pair[key] for pair in described), 4) for key in described[0] if key != "score"}
-        return {
-            "score": min(pair["score"] for pair in described),
-            **shares,
-            "pairs": [{"first": index, **pair} for index, pair in zip(self.pairs, described, strict=True)],
-        }
 
 
 def direction_in_words(direction: Float[np.ndarray, " 3"]) -> str:

@@ -10,12 +10,27 @@ from omnisyn_cli.pipeline.fusions import FUSIONS, FusionStrategy
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN, MethodStrategy
 from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
 
-__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "Recipe"]
+__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "Recipe", "frame_size"]
 
 FALLBACKS = ("none", "crossfade", "fail")
 """What is done about pairs of low confidence: a warning, the photographs cross-faded in doubtful regions, nothing."""
 
 DEVICES = ("auto", "cpu", "cuda")
+
+
+def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:
+    """Height and width of frames that are twice as wide as high.
+
+    Args:
+        size: such as ``2048x1024``; or both numbers in either order, since the smaller one is the height.
+
+    Raises ValueError: it is no such size.
+    """
+    numbers = size.lower().split("x")[::-1] if isinstance(size, str) else [str(number) for number in sorted(size)]
+    height, width = map(int, numbers) if len(numbers) == 2 and all(map(str.isdecimal, numbers)) else (0, 0)
+    if height == 0 or width != 2 * height:
+        raise ValueError(f"expected WIDTHxHEIGHT, twice as wide as high, such as 2048x1024, got {size!r}")
+    return height, width
 
 
 @dataclass(frozen=True)

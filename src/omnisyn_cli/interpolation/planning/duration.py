@@ -200,12 +200,12 @@ def remember_run(summary: Summary, processor: float | None = None) -> None:
         if work is None or not _is_standard(plan):
             return
         pairs = sum(seconds.get(stage, 0.0) for stage in ("decode", "depth", "check", "mesh"))
-        pace = (
+        pair_pace, frame_pace = (
             took / planned if planned >= MIN_WORK_SECONDS else None
             for took, planned in ((pairs, work.pairs), (seconds["total"] - pairs, work.frames))
         )
         cores = None if processor is None else processor / seconds["total"]
-        run = Run(_threads(plan), math.prod(plan.size), *pace, cores)
+        run = Run(_threads(plan), math.prod(plan.size), pair_pace, frame_pace, cores)
         runs = [run, *remembered_runs()][:MAX_RUNS]
         folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
