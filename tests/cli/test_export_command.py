@@ -114,5 +114,5 @@ def test_the_summary_counts_what_is_in_the_file(walk: list[Path], tmp_path: Path
     summary = omnisyn.json(*words(walk, tmp_path / "x.ply", "--stride", 3))
     head = (tmp_path / "x.ply").read_bytes().split(b"end_header")[0].decode()
     assert f"element vertex {summary['points']}\n" in head
-    assert [pair["first"] for pair in summary["confidence"]] == [0, 1]
+    assert [pair["first"] for pair in summary["confidence"]["pairs"]] == [0, 1]
     assert np.isfinite(summary["stages"]["total"])

@@ -3,13 +3,16 @@
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
 
 import omnisyn_cli
 from cli.cli_samples import Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
 from omnisyn_cli.cli import COMMANDS, cli
+from omnisyn_cli.cli.failures import EXIT_CODES, EXIT_CODES_LINE
 from omnisyn_cli.errors import InputError, OmnisynError
 
 HEAVY = {
@@ -64,7 +67,7 @@ def test_the_version_is_the_packages(omnisyn: Omnisyn) -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [["nosuch"], ["interpolate"], ["interpolate", "a", "b"], ["interpolate", "--nosuch"],
+    [["nosuch"], ["interpolate"], ["interpolate", "--nosuch"],
      *(["interpolate", "a", "b", "--poses", "p", "-o", "o", *more] for more in (
          ["--size", "64x64"], ["--size", "²x1"], ["--size", "64"], ["--frames", "1"], ["--fps", "0"], ["--fps", "x"],
          ["--duration", "-1"], ["--codec", "h266"], ["--depth", "guess"], ["--threads", "0"], ["--cut", "0"],
@@ -88,11 +91,23 @@ def test_an_empty_name_is_not_this_folder(
     assert listing(tmp_path) == {}
 
 
+def chained(error: Exception, cause: Exception) -> Exception:
+    """An error during the handling of another."""
+    error.__context__ = cause
+    return error
+
+
 RAISED = {
     "input": (InputError("expected x, got y"), 3, "omnisyn: expected x, got y\n"),
     "failure": (OmnisynError("expected x, got y"), 1, "omnisyn: expected x, got y\n"),
     "two lines": (InputError("a file\nwith a break: expected x"), 3, "omnisyn: a file with a break: expected x\n"),
-    "memory": (MemoryError(), 1, "try a smaller --size"),
+    "memory": (MemoryError(), 1, "expected enough memory, got none; try a smaller --size"),
+    "threads": (RuntimeError("can't start new thread"), 1, "expected enough memory, got 'can't start new thread'"),
+    "locks": (chained(RuntimeError("lost"), RuntimeError("can't allocate lock")), 1, "got 'can't allocate lock'"),
+    "libraries": (ImportError("x.so: failed to map segment from shared object"), 1, "expected enough memory"),
+    "files": (OSError(24, "Too many open files"), 1, "got 'Too many open files'; allow more open files (ulimit -n)"),
+    "disk": (OSError(28, "No space left on device"), 1, "got 'No space left on device'; free some space"),
+    "nameless": (OSError(95, "Not supported"), 1, "expected the system to do what the work needs, got 'Not supported'"),
     "interrupt": (KeyboardInterrupt(), 130, "interrupted"),
 }
 
@@ -106,6 +121,48 @@ def test_errors_become_one_line_and_an_exit_code(omnisyn: Omnisyn, monkeypatch: 
 
     monkeypatch.setattr(cli.get_command(None, "info"), "callback", fail)  # type: ignore[arg-type]
     assert words in omnisyn.refused("info", "a.jpg", code=code)
+    told = json.loads(omnisyn.ended(code, "info", "a.jpg", "--json").out)
+    assert told["exit_code"] == code
+    assert words.strip().replace("\n", " ").removeprefix("omnisyn: ") in told["error"]
+
+
+def every_command(group: click.Group, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """The words of each command, groups included."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        yield (*words, name)
+        if isinstance(command, click.Group):
+            yield from every_command(command, (*words, name))
+
+
+def test_exit_codes_are_said_by_every_command_and_by_the_documents(omnisyn: Omnisyn) -> None:
+    """In the same words, so that they mean the same."""
+    for words in ((), *every_command(cli), ("batch", "plan")):
+        assert EXIT_CODES_LINE in " ".join(omnisyn.quiet(*words, "--help").out.split()), words
+    table = (Path(__file__).parents[2] / "docs" / "stability.md").read_text(encoding="utf-8")
+    for code, meaning in EXIT_CODES.items():
+        assert f"| {code} | {meaning} |" in table
+
+
+def test_wrong_usage_is_json_for_whoever_wants_json(omnisyn: Omnisyn) -> None:
+    told = json.loads(omnisyn.ended(2, "interpolate", "a.jpg", "b.jpg", "--json", "--frames", "x").out)
+    assert told["exit_code"] == 2
+    assert "--frames" in told["error"]
+    assert omnisyn.ended(3, "info", "--", "--json").out == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no such device")
+@pytest.mark.parametrize("words", ["models", "models --json", "info nosuch", "--nosuch", "nosuch --json"])
+def test_a_full_disk_behind_the_output_is_no_traceback(tmp_path: Path, words: str) -> None:
+    for stream in ("1", "2"):
+        command = f'"$0" -m omnisyn_cli {words} {stream}>/dev/full'
+        done = subprocess.run(
+            ["/bin/sh", "-c", command, sys.executable], cwd=tmp_path, capture_output=True, check=False
+        )
+        assert done.returncode in (0, 1, 2, 3)
+        assert b"Traceback" not in done.stderr
+        assert b"Exception" not in done.stderr
 
 
 def test_bugs_are_not_dressed_up(omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,12 +243,12 @@ SPELLED_OUT = r"a\u001b[31m\u000a\u009bred\u202egnp.jpg"
 def test_names_command_no_terminal(tmp_path: Path, omnisyn: Omnisyn) -> None:
     """Escape sequences, line breaks and marks of direction are spelled out, wherever a name is printed."""
     named = tmp_path / COMMANDING_NAME
-    text = omnisyn.ended(3, "info", named).err + omnisyn.misused("models", named)
-    text += omnisyn.refused("interpolate", named, named, "--poses", "auto").replace("\n", "", 1)
+    text = omnisyn.ended(3, "info", named).err + omnisyn.misused(COMMANDING_NAME)
+    text += omnisyn.refused("interpolate", named, named, "--poses", "auto")
     named.write_bytes(write_pair(tmp_path)[0].read_bytes())
     text += omnisyn.made("info", named).out.partition("\n")[0] + omnisyn.made("info", named, "--json").out
     assert json.loads(omnisyn.made("info", named, "--json").out)[0]["file"] == str(named)
-    assert text.count(SPELLED_OUT) == 2  # and JSON, as JSON has it
+    assert text.count(SPELLED_OUT) == 3  # and JSON, as JSON has it
     assert not {"\x1b", "\x9b", "\u202e"} & set(text)
 
 

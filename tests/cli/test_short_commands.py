@@ -82,7 +82,7 @@ def test_poses_are_looked_for_beside_the_panoramas(
     assert planned(omnisyn, command, *images)["inputs"] == images
     assert planned(omnisyn, command, ".")["output"] == f"tour{COMMANDS[command][0]}"
     (walk / POSES_NAME).rename(walk / "other.json")
-    assert "expected --poses, or a poses.json beside" in omnisyn.misused(*cheap(command, *images))
+    assert "expected --poses, or a poses.json beside" in omnisyn.refused(*cheap(command, *images))
     assert planned(omnisyn, command, ".", "--poses", "other.json")["inputs"] == images
 
 
@@ -147,7 +147,7 @@ def test_a_folder_without_poses_stands_for_all_its_pictures(tmp_path: Path, omni
 @every_command
 def test_without_poses_too_a_missing_panorama_is_named(tmp_path: Path, omnisyn: Omnisyn, command: str) -> None:
     (tmp_path / "other").mkdir()
-    without = omnisyn.misused(*cheap(command, tmp_path / "other" / "d.png", write_pair(tmp_path)[1]))
+    without = omnisyn.refused(*cheap(command, tmp_path / "other" / "d.png", write_pair(tmp_path)[1]))
     assert f"{tmp_path / 'other' / 'd.png'}: expected a panorama, got no such file" in without
 
 

@@ -8,16 +8,19 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import TextIO
 
 import click
 
 from omnisyn_cli import __version__
+from omnisyn_cli.cli.failures import EXIT_CODES_LINE, FAILED, failure_of
 from omnisyn_cli.cli.lazy import LazyGroup
-from omnisyn_cli.cli.signals import Terminated, signals_raised
-from omnisyn_cli.cli.terminal import printable, say
-from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.cli.signals import signals_raised
+from omnisyn_cli.cli.terminal import print_json, printable, say
+from omnisyn_cli.errors import WriteError
 
 __all__ = ["cli", "main"]
 
@@ -38,10 +41,10 @@ COMMANDS = {
 }
 """Module and one-line help of every command; the command has the name of its key."""
 
-INTERRUPTED = 130
 
-
-@click.group(cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup, lazy=COMMANDS, epilog=EXIT_CODES_LINE, context_settings={"help_option_names": ["-h", "--help"]}
+)
 @click.version_option(__version__, prog_name="omnisyn")
 def cli() -> None:
     """Make 360° videos between panoramas.
@@ -53,7 +56,6 @@ def cli() -> None:
     Panoramas are equirectangular images. --poses auto finds where they were taken; --baseline is the distance in
     metres. A pose file may say both instead.
 
-    Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.
     """  # noqa: D301 - click's \b is a backspace
 
 
@@ -72,7 +74,7 @@ def _nowhere() -> TextIO:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    given = None if arguments is None else list(arguments)
+    given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         with signals_raised():
             result = cli.main(args=given, prog_name="omnisyn", standalone_mode=False)
@@ -81,40 +83,23 @@ def _run(arguments: Sequence[str] | None) -> int:
     except click.ClickException as error:
         error.message = printable(error.message)
         error.show()
-        return error.exit_code
-    except OmnisynError as error:
-        return _failed(str(error), error.exit_code)
-    except Terminated as error:
-        return _failed("ended by a signal; nothing was left half written", 128 + int(error.args[0]))
-    except (KeyboardInterrupt, click.Abort):
-        return _failed("interrupted; nothing was left half written", INTERRUPTED)
-    except MemoryError:
-        return _failed("expected enough memory, got none; try a smaller --size (see --dry-run)", 1)
-    except ImportError as error:
-        if error.name != "torch":
-            raise
-        return _failed(
-            "expected torch, which training, export-onnx and frames on a GPU need, got none; install it "
-            '(python -m pip install "torch<2.14")',
-            1,
-        )
+        return _failed(error.format_message(), error.exit_code, given, is_said=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
-        return 1
-    except OSError as error:
-        return _failed(_about(error), 1)
+        return FAILED
+    except BaseException as error:
+        if (failure := failure_of(error)) is None:
+            raise
+        return _failed(*failure, given)
     return result if isinstance(result, int) else 0
 
 
-def _about(error: OSError) -> str:
-    """What the system refused: a file that it names, else standard output."""
-    reason = error.strerror or error
-    if error.filename is None:
-        return f"expected to print the result, got '{reason}'; check where it is sent"
-    return f"{error.filename}: expected a place that can be used, got '{reason}'; check its name and permissions"
-
-
-def _failed(message: str, code: int) -> int:
-    """Say why in one line, whatever characters a file's name brought into it."""
-    say("omnisyn: " + " ".join(message.splitlines()), err=True)
+def _failed(message: str, code: int, arguments: Sequence[str], *, is_said: bool = False) -> int:
+    """Say why in one line, whatever characters a file's name brought into it, and on stdout to whoever wants JSON."""
+    line = " ".join(message.splitlines())
+    with suppress(OSError, WriteError):  # there may be nowhere left to say it
+        if not is_said:
+            say(f"omnisyn: {line}", err=True)
+        if "--json" in takewhile(lambda argument: argument != "--", arguments):
+            print_json({"error": line, "exit_code": code})
     return code

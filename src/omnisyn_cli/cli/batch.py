@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.options import json_option, print_json, quiet_option
+from omnisyn_cli.cli.failures import EXIT_CODES_LINE, FAILED
+from omnisyn_cli.cli.options import json_option, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.progress import is_watched
-from omnisyn_cli.cli.terminal import printable, say
+from omnisyn_cli.cli.terminal import print_json, printable, say
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,10 +36,7 @@ class _BatchCommand(click.Command):
         return super().make_context(info_name, args, parent, **extra)
 
 
-@click.command(
-    cls=_BatchCommand,
-    epilog="Exit codes: 0 all jobs done, 1 some failed, 2 wrong usage, 3 unusable input, 130 interrupted.",
-)
+@click.command(cls=_BatchCommand)
 @click.argument("manifest", type=FilePath())
 @click.option(
     "-o", "--output", required=True, metavar="FOLDER", type=FilePath(), help="Folder of all outputs and records."
@@ -87,10 +85,10 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
         report = run_batch(checked, output, BatchOptions(**options), on_progress)
     _print_report(report, output, as_json=as_json, quiet=quiet)
     if report.failed:
-        context.exit(1)
+        context.exit(FAILED)
 
 
-@click.command("plan")
+@click.command("plan", epilog=EXIT_CODES_LINE)
 @click.argument("source", metavar="FOLDER|POSES", type=FilePath())
 @click.option("-o", "--output", required=True, type=FilePath(), help="Manifest to write (.jsonl).")
 @click.option(

@@ -6,9 +6,10 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
-from omnisyn_cli.cli.options import device_option, json_option, print_json, quiet_option, report_option
+from omnisyn_cli.cli.options import device_option, json_option, quiet_option, report_option
 from omnisyn_cli.cli.parameters import FilePath, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, working_folder
+from omnisyn_cli.cli.terminal import print_json
 
 QUICK_OPTIONS: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512)}
 """What ``--quick`` stands for."""
@@ -28,7 +29,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
         return tuple(dict.fromkeys(self._of.convert(part.strip(), param, ctx) for part in str(value).split(",")))
 
 
-@click.command(epilog="Exit codes: 0 done, 1 a setting failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.command()
 @click.argument("dataset", metavar="[DATASET_DIR]", required=False, type=FilePath())
 @report_option("results, page and diagram")
 @click.option(

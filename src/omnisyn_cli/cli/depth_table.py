@@ -12,9 +12,7 @@ from omnisyn_cli.cli.progress import counted_bar, working_folder
 from omnisyn_cli.cli.terminal import say
 
 
-@click.command(
-    "depth-table", epilog="Exit codes: 0 done, 1 a method broke, 2 wrong usage, 3 unusable input, 130 interrupted."
-)
+@click.command("depth-table")
 @report_option("results and table")
 @click.option(
     "--scenes", type=WholeRange(2), default=200, show_default=True, help="Number of scenes, half of them streets."

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.options import device_option, json_option, print_json, quiet_option, report_option, threads_option
+from omnisyn_cli.cli.options import device_option, json_option, quiet_option, report_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, Size
 from omnisyn_cli.cli.progress import counted_bar, working_folder
-from omnisyn_cli.cli.terminal import printable, say
+from omnisyn_cli.cli.terminal import print_json, printable, say
 
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.results import UnitRecord
@@ -36,9 +36,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
     context.exit()
 
 
-@click.command(
-    "eval", epilog="Exit codes: 0 done, 1 something is broken, 2 wrong usage, 3 unusable input, 130 interrupted."
-)
+@click.command("eval")
 @click.argument("dataset", metavar="DATASET_DIR", type=FilePath())
 @report_option("results, pictures and the report")
 @click.option(

@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.options import print_json
+from omnisyn_cli.cli.failures import UNUSABLE
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
-from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.cli.terminal import print_json, say
 
 
 @click.command()
@@ -31,7 +31,7 @@ def info(
         for description in descriptions:
             _show(description)
     if not all(description["ok"] for description in descriptions):
-        context.exit(3)
+        context.exit(UNUSABLE)
 
 
 def _description(path: Path, max_pixels: int | None, allow_outside: bool) -> dict[str, Any]:

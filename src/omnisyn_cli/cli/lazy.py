@@ -6,11 +6,23 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.failures import EXIT_CODES_LINE
 from omnisyn_cli.cli.help import unknown_command
 
 
 class SuggestingGroup(click.Group):
-    """A group that says which command may have been meant by a word that is none."""
+    """A group that says which command may have been meant by a word that is none, and what exit codes mean."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name, whose help ends with the exit codes."""
+        command = self.find_command(ctx, cmd_name)
+        if command is not None:
+            command.epilog = EXIT_CODES_LINE
+        return command
+
+    def find_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name."""
+        return super().get_command(ctx, cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -38,7 +50,7 @@ class LazyGroup(SuggestingGroup):
         """Names in the order of the table."""
         return list(self.lazy)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+    def find_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of that name, imported now."""
         if cmd_name not in self.lazy:
             return None

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from omnisyn_cli.cli.options import print_json
 from omnisyn_cli.cli.parameters import FilePath
-from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.cli.terminal import print_json, say
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 
 if TYPE_CHECKING:
     from omnisyn_cli.runtime.models import ModelEntry
@@ -19,18 +20,20 @@ HEADER = ("name", "role", "size", "parameters", "hours", "purpose")
 
 
 @click.command()
-@click.argument("folder", required=False, type=FilePath(file_okay=False, exists=True))
+@click.argument("folder", required=False, type=FilePath())
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 def models(folder: Path | None, as_json: bool) -> None:
     """List the networks in FOLDER (default: the bundled ones) and check their files.
 
-    `interpolate --model` takes their names. Hours are those of training on one processor core. --json also prints the
-    training data, licences, hashes and held-out figures.
+    `interpolate --model` takes networks that find depth, which the last lines name. Hours are those of
+    training on one processor core. --json also prints the training data, licences, hashes and held-out figures.
     """
     from dataclasses import asdict
 
     from omnisyn_cli.runtime.models import find_model, read_manifest
 
+    if folder is not None and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of models, got none; check the name")
     entries = read_manifest(folder)
     for name in entries:
         find_model(name, folder)
@@ -42,6 +45,16 @@ def models(folder: Path | None, as_json: bool) -> None:
         return
     for line in _table([HEADER, *map(_row, entries.values())]):
         say(line)
+    for choice in _choices(entries.values(), folder):
+        say(f"for interpolate: {choice}")
+
+
+def _choices(entries: Iterable[ModelEntry], folder: Path | None) -> Iterator[str]:
+    """The networks that ``--model`` takes, by their names or paths, with the source of depth that each belongs to."""
+    sources = {source.role: source.name for source in DEPTH_SOURCES.values() if source.has_network}
+    for entry in entries:
+        if entry.role in sources:
+            yield f"--depth {sources[entry.role]} --model {entry.name if folder is None else folder / entry.file}"
 
 
 def _row(entry: ModelEntry) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.failures import FAILED
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import (
     all_of,
@@ -16,11 +17,11 @@ from omnisyn_cli.cli.options import (
     masks_option,
     nadir_option,
     outside_option,
-    print_json,
     quiet_option,
+    upper_half_option,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
-from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.estimation import PictureOptions
@@ -54,6 +55,7 @@ picture_options = all_of(
     nadir_option,
     click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]"),
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
+    upper_half_option,
 )
 
 
@@ -178,7 +180,7 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
     _report([*notes, f"{output}: {len(pose_file.panoramas)} panoramas for {format_name}"], quiet)
 
 
-@poses.command(epilog="Exit codes: 0 the poses fit or nearly fit (or cannot be judged), 3 they do not.")
+@poses.command()
 @images
 @poses_option
 @picture_options
@@ -206,7 +208,7 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
     if as_json:
         print_json(values)
     if not does_fit:
-        click.get_current_context().exit(3)
+        click.get_current_context().exit(FAILED)
 
 
 @poses.command()
@@ -270,10 +272,11 @@ def estimate(
     _report([*found.notes, f"{output}: {len(found.panoramas)} poses"], quiet)
 
 
-def _picture_options(nadir: float, **options: Any) -> PictureOptions:
+def _picture_options(nadir: float, upper_half: bool, **options: Any) -> PictureOptions:
+    from omnisyn_cli.io.placement import Reading
     from omnisyn_cli.poses.estimation import PictureOptions
 
-    return PictureOptions(nadir=math.radians(nadir), **options)
+    return PictureOptions(nadir=math.radians(nadir), reading=Reading(upper_half), **options)
 
 
 def _report(notes: Sequence[str], quiet: bool) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import quiet_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
@@ -22,7 +23,7 @@ TEXTURES = click.option(
 """Of every command that makes scenes."""
 
 
-@click.group()
+@click.group(cls=PlainGroup)
 def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
 

@@ -1,8 +1,12 @@
 """Lines for people on a terminal, which names of files neither break nor command."""
 
+from typing import Any
+
 import click
 
-__all__ = ["printable", "say"]
+from omnisyn_cli.errors import WriteError
+
+__all__ = ["print_json", "printable", "say"]
 
 CONTROL_CODES = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A),
@@ -18,5 +22,18 @@ def printable(text: str) -> str:
 
 
 def say(line: object, *, err: bool = False) -> None:
-    """Print one line on stdout, or on stderr."""
-    click.echo(printable(str(line)), err=err)
+    """Print one line on stdout, or on stderr; WriteError: there is no room where it goes."""
+    try:
+        click.echo(printable(str(line)), err=err)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise WriteError(f"expected to print the result, got '{error.strerror}'; check where it is sent") from error
+
+
+def print_json(values: Any) -> None:
+    """Print plain values on stdout."""
+    import json
+
+    for line in json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False).split("\n"):
+        say(line)

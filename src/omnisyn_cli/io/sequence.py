@@ -68,9 +68,12 @@ class ImageSequenceWriter:
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a path can mean numbered images: a folder, an image name with ``%06d``, or no name of a known file."""
+    """Whether a path can mean numbered images: an image name with ``%06d``, or no name of a known file.
+
+    A folder that is called like a video is no place for images: whoever names it means a file.
+    """
     suffix = path.suffix.lower()
-    if path.is_dir() or suffix == "":
+    if suffix == "":
         return True
     if NUMBER.search(path.name):
         return suffix in IMAGE_SUFFIXES

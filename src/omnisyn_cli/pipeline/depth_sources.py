@@ -77,7 +77,7 @@ class DepthStrategy:
         grid_sizes: height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the
             depth files of the panoramas.
         reads_files: whether depth comes with the panoramas and is not estimated.
-        has_network: whether a network takes part.
+        role: of the network that takes part, as the manifest of models calls it; None if none does.
         model_is_optional: whether depth is estimated without the network as well, and at rows of any number.
         model: name in the manifest of its network where no preset names one.
         program_bytes: memory of the program, before pictures.
@@ -91,13 +91,18 @@ class DepthStrategy:
     make: EstimatorMaker
     grid_sizes: Callable[[DepthSource, int, Sequence[Path]], list[Size]] = _matching_size
     reads_files: bool = False
-    has_network: bool = False
+    role: str | None = None
     model_is_optional: bool = False
     model: str | None = None
     program_bytes: float = PROGRAM_BYTES
     network_bytes: float = 0.0
     finding_bytes: float = 110e6
     refining_bytes: float = 0.0
+
+    @property
+    def has_network(self) -> bool:
+        """Whether a network takes part."""
+        return self.role is not None
 
     def bytes_of_program(self, grids: Sequence[Size]) -> float:
         """Memory of the program and its network, given the sizes of surfaces from coarse to fine."""
@@ -174,12 +179,12 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = MappingProxyType({
         ),
         DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
         DepthStrategy(
-            "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, has_network=True,
+            "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, role="completion",
             model_is_optional=True, network_bytes=820, refining_bytes=400,
         ),
-        DepthStrategy("network", "a stereo network alone", _make_network, has_network=True, network_bytes=3200),
+        DepthStrategy("network", "a stereo network alone", _make_network, role="depth", network_bytes=3200),
         DepthStrategy(
-            "monocular", "a network that sees one panorama at a time", _make_monocular, has_network=True,
+            "monocular", "a network that sees one panorama at a time", _make_monocular, role=SYNSIN_DEPTH,
             model=SYNSIN_DEPTH, program_bytes=370e6,
         ),
     )

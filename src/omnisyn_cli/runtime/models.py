@@ -89,9 +89,10 @@ def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
     return {entry.name: entry for entry in entries}
 
 
-def find_model(name: str, folder: Path | None = None) -> Path:
+def find_model(name: str, folder: Path | None = None, *, role: str | None = None) -> Path:
     """The file of a model of the manifest, verified by its sha256; or ``name`` itself if it is a path to a file.
 
+    With ``role`` only models of the manifest with that role are there.
     Raises InputError: there is no such model or file, or the file is not the one that was trained.
     """
     if name.endswith(".onnx"):
@@ -99,10 +100,10 @@ def find_model(name: str, folder: Path | None = None) -> Path:
             raise InputError(f"expected an ONNX file at {name}, found none; check the path")
         return Path(name)
     folder = folder or models_folder()
-    entries = read_manifest(folder)
+    entries = {k: entry for k, entry in read_manifest(folder).items() if role in (None, entry.role)}
     if name not in entries:
-        known = ", ".join(entries) or "none installed"
-        raise InputError(f"expected a model of the manifest ({known}) or a path to an .onnx file, got {name!r}")
+        known, kind = ", ".join(entries) or "none installed", "model" if role is None else f"{role} model"
+        raise InputError(f"expected a {kind} of the manifest ({known}) or a path to an .onnx file, got {name!r}")
     path, entry = folder / entries[name].file, entries[name]
     if not path.is_file():
         raise InputError(f"expected the model {name} at {path}, found no file; reinstall omnisyn-cli")

@@ -1,0 +1,72 @@
+"""What went wrong in one line, and the exit code that says what kind of thing it was: the same for all commands."""
+
+import errno
+from collections.abc import Iterator, Mapping
+
+import click
+
+from omnisyn_cli.cli.signals import Terminated
+from omnisyn_cli.errors import OmnisynError
+
+FAILED, MISUSED, UNUSABLE, INTERRUPTED = 1, 2, 3, 130
+
+EXIT_CODES: Mapping[int, str] = {
+    0: "done", FAILED: "failed (or poses do not fit)", MISUSED: "wrong usage", UNUSABLE: "unusable input",
+    INTERRUPTED: "interrupted",
+}  # fmt: skip
+"""Meanings, for every command; docs/stability.md says more of each."""
+
+EXIT_CODES_LINE = f"Exit codes: {', '.join(f'{code} {meaning}' for code, meaning in EXIT_CODES.items())}."
+
+SIGNAL_BASE = 128
+"""A program that a signal ends has this code plus the number of the signal, as shells count."""
+
+MEMORY_SIGNS = (
+    "can't start new thread", "can't allocate lock", "failed to map segment", "annot allocate memory", "bad_alloc",
+    "Insufficient memory", "Failed to allocate memory",
+)  # fmt: skip
+"""What Python, the loader, OpenCV and ONNX Runtime say where memory, or room for threads, has run out."""
+
+REMEDIES: Mapping[int, str] = {
+    errno.EMFILE: "allow more open files (ulimit -n)", errno.ENFILE: "close other programs",
+    errno.ENOSPC: "free some space", errno.EDQUOT: "free some space", errno.EIO: "check the disk",
+}  # fmt: skip
+
+
+def failure_of(error: BaseException) -> tuple[str, int] | None:
+    """One line and an exit code for what a user can do something about; None for a bug, whose traceback is wanted."""
+    match error:
+        case OmnisynError():
+            return str(error), error.exit_code
+        case Terminated():
+            return "ended by a signal; nothing was left half written", SIGNAL_BASE + int(error.args[0])
+        case KeyboardInterrupt() | click.Abort():
+            return "interrupted; nothing was left half written", INTERRUPTED
+    if sign := next(_signs_of_memory(error), ""):
+        return f"expected enough memory, got {sign}; try a smaller --size or fewer --threads (see --dry-run)", FAILED
+    match error:
+        case ImportError(name="torch"):
+            needs = "expected torch, which training, export-onnx and frames on a GPU need, got none; install it"
+            return f'{needs} (python -m pip install "torch<2.14")', FAILED
+        case OSError():
+            return _about(error), FAILED
+    return None
+
+
+def _signs_of_memory(error: BaseException | None) -> Iterator[str]:
+    """What says in an error, or in one that led to it, that memory has run out."""
+    while error is not None:
+        if isinstance(error, MemoryError):
+            yield "none"
+        elif not isinstance(error, OmnisynError):
+            yield from (f"'{sign}'" for sign in MEMORY_SIGNS if sign in str(error))
+        error = error.__cause__ or error.__context__
+
+
+def _about(error: OSError) -> str:
+    """What the system refused, with the file if it names one."""
+    reason = error.strerror or error
+    if error.filename is None:
+        remedy = REMEDIES.get(error.errno or 0, "check limits and disks")
+        return f"expected the system to do what the work needs, got '{reason}'; {remedy}"
+    return f"{error.filename}: expected a place that can be used, got '{reason}'; check its name and permissions"
