@@ -8,6 +8,7 @@ import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.terminal import print_json, say
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import DEVICES
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
