@@ -43,7 +43,7 @@ class GeometricFuser:
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
         self.tiles, self.is_seen = RowTileRunner(size, threads), np.empty(size, np.uint8)
-        self._tables = DirectionTables.of_size(*size)
+        self._tables = DirectionTables.of_target(size)
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
         self._picture: np.ndarray | None = None
 

@@ -30,10 +30,10 @@ from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, view_weights
 from omnisyn_cli.fusion.ghost_grid import ghost_cell_size, ghost_sample_step
 from omnisyn_cli.fusion.ghost_kernels import accumulate_cells, suppress_edge_samples, suppress_rows
 from omnisyn_cli.fusion.window_filters import box_filter, dilate
+from omnisyn_cli.geometry.perspective import cell_directions
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import grid_subsample
-from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, EdgePixels, Layer
 
 __all__ = ["GhostRemover", "GhostSuppression", "have_same_position"]
@@ -121,7 +121,7 @@ class GhostRemover:
         self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell_size % step == 0) for count in size)
         self.downsampled_size = len(self._rows), len(self._cols)
         self._grid = (-(-size[0] // self.cell_size), -(-size[1] // self.cell_size))
-        self._directions = pixel_directions(*self._grid).astype(np.float32)
+        self._directions = cell_directions(size, self._grid).astype(np.float32)
 
     def __call__(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
         """The suppression for two layers at full size; None without ghosts.

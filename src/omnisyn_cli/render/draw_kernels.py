@@ -158,7 +158,7 @@ def _draw_row(block, k, number, row, first_col, last_col, target, face):
 
 
 @inlined()
-def _draw_box(block, k, number, box, target, face):
+def draw_box(block, k, number, box, target, face):
     """A box inside the image, eight columns of one row at a time."""
     rows, cols, out, width = target.rows, target.cols, target.inverse_depth, target.width
     for row in range(box.first_row, box.last_row + 1):
@@ -175,7 +175,7 @@ def _draw_box(block, k, number, box, target, face):
 
 
 @inlined()
-def _draw_narrow_box(block, k, number, box, target, face):
+def draw_narrow_box(block, k, number, box, target, face):
     """A box of up to four columns: two rows at a time, so that no lane is idle."""
     rows, cols = target.rows, target.cols
     out, width = target.inverse_depth, target.width
@@ -330,7 +330,7 @@ def intersect_exactly(setup, x, y, z):
 
 
 @subkernel(fastmath={"contract"})
-def _draw_exactly(points, gap, number, box, target, face):
+def draw_exactly(points, gap, number, box, target, face):
     """Both triangles of a quad in float64 against the rays in a box; columns outside the image wrap."""
     rows, cols = target.exact_rows, target.exact_cols
     out, width = target.inverse_depth, target.width
@@ -398,10 +398,10 @@ def draw_quads(block, quads, number, target, face, begin, end):
         box = Box(first_row, last_row, first_col, last_col)
         if is_float32 and first_col >= 0 and last_col < width:
             if last_col - first_col < LANES // 2:
-                _draw_narrow_box(block, k, number + 2 * k, box, target, face)
+                draw_narrow_box(block, k, number + 2 * k, box, target, face)
             else:
-                _draw_box(block, k, number + 2 * k, box, target, face)
+                draw_box(block, k, number + 2 * k, box, target, face)
         else:
             gap = np.float64(quads.gaps[k]) if len(quads.gaps) > 0 else 0.0
             points = exact_corners(block, quads.corners, quads.codes[k], k)
-            _draw_exactly(points, gap, number + 2 * k, box, target, face)
+            draw_exactly(points, gap, number + 2 * k, box, target, face)

@@ -14,16 +14,18 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.geometry.perspective import PerspectiveSize, target_tables
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
+from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
 from omnisyn_cli.render.edge_pixel_kernels import rasterize_edge_pixels
 from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.perspective_kernels import find_rows_of_blocks, rasterize_perspective
 from omnisyn_cli.render.quad_blocks import QuadBlocks
 from omnisyn_cli.render.raster_kernels import NO_FACE, find_block_bounds, rasterize_blocks
 from omnisyn_cli.types import EdgePixels
 
-__all__ = ["NO_FACE", "Fragments", "rasterize"]
+__all__ = ["NO_FACE", "Fragments", "PerspectiveRasterizer", "rasterize"]
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,35 @@ class Rasterizer:
         return out
 
 
+class PerspectiveRasterizer:
+    """Rasterises into perspective pictures of one size, likewise; edge pixels have no samples."""
+
+    def __init__(self, size: PerspectiveSize, threads: int | None = None) -> None:
+        self.size, self.threads = size, threads
+        self._inverse_depth = np.empty(size, np.float32)
+        self._target = _target(size, self._inverse_depth)
+        self._view = tuple(map(np.float32, (size.focal, *size.half_extent)))
+
+    def __call__(
+        self, quads: QuadBlocks, target_from_source: Pose, face: Int32[np.ndarray, " pixels"] | None = None
+    ) -> Float32[np.ndarray, "height width"]:
+        """Inverse distance along the axis; see :meth:`Rasterizer.__call__`."""
+        pose, rows, view = _rows_of(target_from_source), np.empty((len(quads.codes), 2), np.int32), self._view
+        run_ranges(
+            lambda begin, end: find_rows_of_blocks(quads, pose, self._target, view, rows, begin, end),
+            len(rows),
+            self.threads,
+        )
+        run_ranges(
+            lambda begin, end: rasterize_perspective(quads, rows, pose, self._target, view, face, begin, end),
+            self.size[0],
+            self.threads,
+        )
+        return self._inverse_depth
+
+
 def _target(size: tuple[int, int], inverse_depth: Float32[np.ndarray, "*size"]) -> Target:
-    sin_p, cos_p, sin_a, cos_a = direction_tables(*size)
+    sin_p, cos_p, sin_a, cos_a = target_tables(size)
     rows, cols = np.stack([sin_p, cos_p]), np.stack([sin_a, -cos_a])
     row_scale, row_zero, col_scale, col_zero = map(np.float32, pixel_scale(size))
     return Target(

@@ -7,9 +7,10 @@ from typing import ClassVar, Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
+from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
-from omnisyn_cli.render.rasterize import Rasterizer
+from omnisyn_cli.render.rasterize import PerspectiveRasterizer, Rasterizer
 from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader, make_confidence_map
 from omnisyn_cli.render.simplify import simplify
@@ -79,6 +80,10 @@ class RendererClass(Protocol):
         ...
 
 
+def _rasterizer(size: tuple[int, int], threads: int | None) -> Rasterizer | PerspectiveRasterizer:
+    return PerspectiveRasterizer(size, threads) if isinstance(size, PerspectiveSize) else Rasterizer(size, threads)
+
+
 class MeshRenderer:
     """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture.
 
@@ -95,8 +100,8 @@ class MeshRenderer:
         every = mesh.face_count()
         self._quads, drawn = mesh.blocks, every
         if inputs.path_end is not None:
-            self._quads, drawn = simplify(mesh, inputs.path_end, size[0], threads=threads)
-        self.triangles, self._rasterizer = (drawn, every), Rasterizer(size, threads)
+            self._quads, drawn = simplify(mesh, inputs.path_end, equivalent_rows(size), threads=threads)
+        self.triangles, self._rasterizer = (drawn, every), _rasterizer(size, threads)
         self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
 
     def __call__(self, target_from_source: Pose) -> Layer:
@@ -108,12 +113,18 @@ class MeshRenderer:
             partial(self._shader.shade_rows_into, *surface),
             partial(self._shader.shade_grid, *surface),
             target_from_source,
-            edge_samples=partial(self._edge_samples, target_from_source),
+            edge_samples=partial(self._edge_samples, target_from_source) if self._samples_edges else None,
             source_sampler=self._reprojector.sampler(target_from_source),
         )
 
+    @property
+    def _samples_edges(self) -> bool:
+        return isinstance(self._rasterizer, Rasterizer)
+
     def _edge_samples(self, target_from_source: Pose, edge_pixels: EdgePixels) -> EdgeSamples:
         """Samples of the surface that the last call rasterised."""
+        if not isinstance(self._rasterizer, Rasterizer):
+            raise ValueError("expected an equirectangular target, got a perspective one; ask for no samples of edges")
         seen = self._rasterizer.edge_samples(self._quads, target_from_source, edge_pixels)
         colour = self._shader.shade_edges(seen, edge_pixels, self._confidence_map, self._texture, target_from_source)
         return seen, colour

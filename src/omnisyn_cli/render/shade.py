@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Integer
 
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.geometry.perspective import pixels_per_radian
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import grid_subsample
 from omnisyn_cli.geometry.sphere import pixel_scale
@@ -65,7 +66,7 @@ class Shader:
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
-        self._tables = DirectionTables.of_size(*size)
+        self._tables = DirectionTables.of_target(size)
         self._image = np.empty((*size, CHANNELS), np.float32)
 
     def __call__(
@@ -163,7 +164,7 @@ class Shader:
         self, confidence: ConfidenceMap, texture: Texture, target_from_source: Pose
     ) -> Callable[[np.ndarray, DirectionTables, np.ndarray, int, int], None]:
         """The kernel of one surface; takes inverse depth, tables, an image, first row and the row after the last."""
-        view = source_view(target_from_source, texture.size[0] / self.size[0])
+        view = source_view(target_from_source, pixels_per_radian(texture.size) / pixels_per_radian(self.size))
         arrays = _texture_arrays(confidence, texture)
 
         def shade_tile(rho: np.ndarray, tables: DirectionTables, image: np.ndarray, begin: int, end: int) -> None:

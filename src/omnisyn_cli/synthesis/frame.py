@@ -11,8 +11,8 @@ from jaxtyping import Float32, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.photometry import ExposureMatcher
+from omnisyn_cli.geometry.perspective import pixels_per_radian
 from omnisyn_cli.geometry.pose import rotation_vector_from_rotation
-from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
@@ -56,18 +56,19 @@ class FusedFrame:
     Attributes:
         frame: the frame.
         nearest: answers the greatest inverse depth that either view sees, 1/metre.
+        pixels_per_radian: of the frame.
     """
 
     frame: Frame
     nearest: Callable[[], float]
+    pixels_per_radian: float
 
     def looks_the_same_from(self, waypoint: Waypoint) -> bool:
         """Whether nothing in the frame would be seen more than a quarter of a pixel aside from there."""
         before = self.frame.waypoint
         if abs(waypoint.t - before.t) > MAX_SHARE_STEP:
             return False
-        height, width, _ = self.frame.image.shape
-        angle = MAX_SHIFT_PIXELS / pixel_scale((height, width))[0]
+        angle = MAX_SHIFT_PIXELS / self.pixels_per_radian
         turned = np.linalg.norm(rotation_vector_from_rotation(before.pose.rotation.T @ waypoint.pose.rotation))
         moved = np.linalg.norm(waypoint.pose.position - before.pose.position)
         if turned > angle or moved == 0.0:
@@ -102,8 +103,9 @@ def fuse_frame(
         if pair.cross_fade is not None and confidence is not None:
             pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
     return FusedFrame(
-        Frame(image, waypoint, None, confidence), lambda: max(float(view.inverse_depth.max()) for view in seen)
-    )
+        Frame(image, waypoint, None, confidence), lambda: max(float(view.inverse_depth.max()) for view in seen),
+        pixels_per_radian(options.size),
+    )  # fmt: skip
 
 
 def _fuse_frame_on_device(
@@ -115,4 +117,4 @@ def _fuse_frame_on_device(
     with clock("render"):
         target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in pair.poses)
         on_device.frame(target_from_first, target_from_second, waypoint.t, image)
-    return FusedFrame(Frame(image, waypoint, None), lambda: on_device.nearest)
+    return FusedFrame(Frame(image, waypoint, None), lambda: on_device.nearest, pixels_per_radian(options.size))
