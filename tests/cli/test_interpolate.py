@@ -16,6 +16,7 @@ import pytest
 
 from cli.cli_samples import SIZE, STAGE_LINE, Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
 from interpolation_samples import edit_poses, use_ffmpeg
+from omnisyn_cli.cli import memory
 from omnisyn_cli.io import open_video, read_spherical, write_image
 from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
@@ -267,7 +268,10 @@ ENCODER_FAILURES = {
     "at the start": ("sys.exit('level 9.9 is not supported')", "level 9.9 is not supported"),
     "in the middle": ("sys.stdin.buffer.read(2000)\nsys.exit('lost my mind')", "lost my mind"),
     "at the end": ("sys.stdin.buffer.read()\nsys.exit('cannot write the index')", "cannot write the index"),
-    "full disk": ("sys.stdin.buffer.read()\nsys.exit('No space left on device')", "free some space"),
+    "full disk": (
+        "sys.stdin.buffer.read()\nsys.exit('[mp4 @ 0x1] x\\n[out#0] Error: No space left on device')",
+        "expected room for the video, got 'No space left on device'; free some space",
+    ),
     "without a word": ("sys.exit(7)", "got exit code 7"),
     "missing": ("", "expected an ffmpeg with libx264"),
 }
@@ -281,6 +285,39 @@ def test_a_failing_encoder_is_code_1_with_its_own_words_and_no_file(
     use_ffmpeg(monkeypatch, tmp_path, script, "libx265" if case == "missing" else "libx264")
     more = ("--save-frames", tmp_path / "frames", "--save-depth", tmp_path / "depth", "--frames", 9)
     assert words in omnisyn.refused(*pair_arguments(tmp_path, pair, "out.mp4", *more), code=1)
+
+
+@pytest.mark.parametrize(
+    "setting", [{"NUMBA_NUM_THREADS": "0"}, {"NUMBA_DISABLE_JIT": "1"}], ids=lambda each: [*each][0]
+)
+def test_settings_that_kernels_cannot_work_with_are_named(
+    tmp_path: Path, pair: list[Path], setting: dict[str, str]
+) -> None:
+    process = start_cli(*folder_arguments(tmp_path, pair, "-q"), folder=tmp_path, **setting)
+    err = process.communicate(timeout=300)[1].decode()
+    assert (process.returncode, err.count("\n")) == (3, 1)
+    assert "NUMBA_" in err
+
+
+def test_memory_that_is_short_is_said_before_the_work(
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "memory_limit", lambda: 10**8)
+    assert "GB of memory, got a limit of 0.1;" in omnisyn.made(*folder_arguments(tmp_path, pair, "--dry-run")).err
+    monkeypatch.undo()
+    assert "got a limit" not in omnisyn.made(*folder_arguments(tmp_path, pair, "--dry-run")).err
+
+
+def test_a_folder_that_is_called_like_a_video_is_no_place_for_images(
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn
+) -> None:
+    """Unless a slash says that it is meant."""
+    (tmp_path / "walk.mp4").mkdir()
+    words = folder_arguments(tmp_path, pair)
+    at = words.index("-o") + 1
+    assert "expected a file name, got a folder" in omnisyn.refused(*words[:at], tmp_path / "walk.mp4", *words[at + 1 :])
+    omnisyn.made(*words[:at], f"{tmp_path / 'walk.mp4'}/", *words[at + 1 :])
+    assert len(list((tmp_path / "walk.mp4").iterdir())) == 3
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")

@@ -146,6 +146,7 @@ BROKEN: dict[str, tuple[Any, str]] = {
     "overflow": (json.dumps(one({**RIGID, "position": [0, 7, 0]})).replace("7", "1e999"), r"position\[1\]: .*inf"),
     "wrong unit": (one({**RIGID, "position": [0, 1e12, 0]}), r"position\[1\]: expected .*less than"),
     "long quaternion": (one({**RIGID, "rotation": [1, 0.1, 0, 0]}), "unit quaternion .*length 1.00499"),
+    "giant quaternion": (one({**RIGID, "rotation": [1e200, 0, 0, 0]}), r"unit quaternion .*length 1e\+200"),
     "angles": (one({**RIGID, "rotation": [0, 90, 0]}), r"a unit quaternion \[w, x, y, z\], got \[0, 90, 0\]; correct"),
     "zero quaternion": (one({**RIGID, "rotation": [0, 0, 0, 0]}), "length 0"),
     "scaled": (one({"position": [0, 0, 0], "matrix": [[2, 0, 0], [0, 2, 0], [0, 0, 2]]}), "rigid .*deviation of 3"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from omnisyn_cli.cli.memory import memory_note
 from omnisyn_cli.cli.options import print_plan
 from omnisyn_cli.cli.progress import say_when_compiling, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
@@ -55,6 +56,8 @@ def run_job(
         for note in plan.notes:
             stages.note(f"note: {note}")
         values = {**plan.describe(), **expected(plan)}
+        if note := memory_note(values["memory_mib"] * 2**20):
+            stages.note(f"note: {note}")
         if dry_run:
             if as_json or not quiet:
                 print_plan(values, plan.in_words(values), as_json=as_json)

@@ -12,9 +12,14 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from numba import njit
-from numba.core import event
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from omnisyn_cli.errors import InputError
+
+try:
+    from numba import njit
+    from numba.core import event
+    from numba.core.caching import FunctionCache, IndexDataCacheFile
+except ValueError as error:
+    raise InputError(f"expected settings that numba takes in NUMBA_… of the environment, got '{error}'") from error
 
 __all__ = [
     "Decorator",
@@ -98,6 +103,8 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
     if function is None:
         return partial(compiled_kernel, cache=cache, **options)
     compiled = njit(function, **{"no_cfunc_wrapper": True, **options})  # nobody calls kernels from C
+    if compiled is function:
+        raise InputError("expected kernels that can be compiled, got NUMBA_DISABLE_JIT in the environment; unset it")
     if cache:
         try:
             compiled._cache = _Kernels(compiled.py_func)

@@ -135,8 +135,8 @@ class EncoderProcess:
             return WriteError(
                 f"{self._target}: expected room for the video, got a limit on files; raise it (ulimit -f)"
             )
-        if not ended_by and any(sign in words for sign in FULL_DISK_MESSAGES):
-            return WriteError(f"{self._target}: expected room for the video, got '{words}'; free some space")
+        if not ended_by and (full := next((sign for sign in FULL_DISK_MESSAGES if sign in words), None)):
+            return WriteError(f"{self._target}: expected room for the video, got '{full}'; free some space")
         expected = f"{self._target}: expected ffmpeg to encode {self.frame_count} frames, got"
         if ended_by:  # without last words
             return EncodingError(

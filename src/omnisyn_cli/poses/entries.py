@@ -202,7 +202,7 @@ def checked_quaternion(
     remedy: str = "check the order of the columns",
 ) -> Float[np.ndarray, "3 3"]:  # fmt: skip
     """Rotation of a quaternion ``[w, x, y, z]`` of about unit length; else a PoseError that begins with ``where``."""
-    length = float(np.linalg.norm(quaternion))
+    length = math.hypot(*quaternion)  # which, unlike a sum of squares, does not overflow
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
         raise PoseError(f"{where}: expected {kind}, got length {length:.6g}; {remedy}")
     return rotation_from_quaternion(quaternion)
