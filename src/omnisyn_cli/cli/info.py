@@ -7,7 +7,9 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.failures import UNUSABLE
+from omnisyn_cli.cli.options import preset_option
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
+from omnisyn_cli.cli.progress import shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
 
@@ -16,14 +18,26 @@ from omnisyn_cli.cli.terminal import print_json, say
 @click.option("--max-pixels", type=WholeRange(1), help="Decode no image with more pixels.  [default: 268435456]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of the pose file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of text.")
+@click.option(
+    "--report", metavar="FILE.html", type=FilePath(),
+    help="Also write a page about the pairs of panoramas: matches that agree and disagree with the poses, epipoles, "
+    "depth and confidence. Without a pose file, poses are found in the pictures.",
+)  # fmt: skip
+@preset_option
+@click.option("--overwrite", is_flag=True, help="Replace the report if it exists.")
 @click.pass_context
 def info(
-    context: click.Context, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool
-) -> None:
+    context: click.Context, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
+    report: Path | None, preset: str, overwrite: bool,
+) -> None:  # fmt: skip
     """Show what the program reads in panoramas, depth files, pose files and videos.
 
+    \b
+    omnisyn info a.jpg b.jpg poses.json
+    omnisyn info a.jpg b.jpg --report report.html
+
     An unusable file does not stop the others; the exit code is then 3.
-    """
+    """  # noqa: D301 - click's \b is a backspace
     descriptions = [_description(path, max_pixels, allow_outside) for path in files]
     if as_json:
         print_json(descriptions)
@@ -32,6 +46,29 @@ def info(
             _show(description)
     if not all(description["ok"] for description in descriptions):
         context.exit(UNUSABLE)
+    if report is not None:
+        options = {"preset": preset, "overwrite": overwrite, "allow_outside": allow_outside}
+        _report(descriptions, report, **options, **({} if max_pixels is None else {"max_pixels": max_pixels}))
+
+
+def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) -> None:
+    """Write the page about the panoramas among the files."""
+    from omnisyn_cli.compute.stopwatch import while_timing
+    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, TourJob
+    from omnisyn_cli.interpolation.pair_report import write_pair_report
+
+    named = {
+        kind: tuple(Path(each["file"]) for each in descriptions if each["kind"] == kind)
+        for kind in ("panorama", "poses")
+    }
+    if len(named["poses"]) > 1:
+        raise click.UsageError(f"expected one pose file with --report, got {len(named['poses'])}; name one")
+    poses = (*named["poses"], POSES_FROM_PICTURES)[0]
+    with shown_stages(is_quiet=False) as stages, while_timing(stages.time):
+        plan = write_pair_report(TourJob(named["panorama"], poses, report, **options))
+        for note in plan.notes:
+            stages.note(f"note: {note}")
+    say(f"{report}: a page about {len(plan.entries)} panoramas", err=True)
 
 
 def _description(path: Path, max_pixels: int | None, allow_outside: bool) -> dict[str, Any]:

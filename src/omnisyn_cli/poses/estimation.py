@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
@@ -22,9 +23,10 @@ from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
-from omnisyn_cli.poses.registration.robust import MIN_INLIERS, Estimate, estimate_relative_pose
+from omnisyn_cli.poses.registration.least_squares import relative_pose
+from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_threshold, support_mask
 
-__all__ = ["PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
+__all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
 
 DEFAULT_BASELINE = 1.0
 """Metres between two panoramas where no baseline is given."""
@@ -53,11 +55,20 @@ class PictureOptions:
 
 @dataclass(frozen=True)
 class PairDiagnosis:
-    """A pair and what is wrong with its poses."""
+    """A pair and what is wrong with its poses.
+
+    Attributes:
+        first, second: the images.
+        diagnosis: what the matches say.
+        matches: of both.
+        fits: ``(n,)`` the matches that agree with the poses given.
+    """
 
     first: Path
     second: Path
     diagnosis: Diagnosis
+    matches: Matches
+    fits: Bool[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -89,7 +100,8 @@ def check_poses(
     entries = [pose_file.of(image) for image in images]
     pairs = _matched_pairs(images, [entry.mask for entry in entries], options or PictureOptions())
     for (first, second), (a, b), matches in zip(pairwise(images), pairwise(entries), pairs, strict=True):
-        yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches))
+        fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
+        yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits)
 
 
 def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None) -> FoundPoses:
@@ -143,7 +155,7 @@ def estimate_poses(
         estimate = estimate_relative_pose(matches)
         if estimate is None:
             raise PoseError(
-                f"{first} and {second}: expected at least {MIN_INLIERS} matches that agree with a pose, got fewer "
+                f"{first} and {second}: expected more matches that agree with a pose than by chance, got too few "
                 f"(of {len(matches)}); give their poses in a file, or take panoramas that have more in common"
             )
         relative = estimate.first_from_second

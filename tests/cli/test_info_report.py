@@ -1,0 +1,63 @@
+"""``omnisyn info --report``: a page about each pair, whole in one file, whatever the panoramas are called."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cli.cli_samples import Omnisyn
+from interpolation_samples import edit_poses
+
+ROOM = Path(__file__).parents[2] / "examples" / "room"
+
+SECOND = "<b>&'.jpg"
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> list[Path]:
+    """Photographs of a room, and poses that turn the second one by some degrees too many."""
+    for name, copy in (("first.jpg", "first.jpg"), ("second.jpg", SECOND), ("poses.json", "poses.json")):
+        shutil.copy(ROOM / name, tmp_path / copy)
+    edit_poses(tmp_path, lambda panoramas: panoramas.update({SECOND: panoramas.pop("second.jpg")}))
+    return [tmp_path / "first.jpg", tmp_path / SECOND]
+
+
+def circles(page: str, kind: str) -> int:
+    return page.count(f'<circle class="{kind}"')
+
+
+def test_the_page_shows_matches_epipoles_depth_and_confidence(
+    tmp_path: Path, room: list[Path], omnisyn: Omnisyn
+) -> None:
+    arguments = [*room, tmp_path / "poses.json", "--preset", "fast", "--report", tmp_path / "report.html"]
+    omnisyn.made("info", *arguments)
+    page = (tmp_path / "report.html").read_text()
+    assert circles(page, "fits") > 10 * circles(page, "contradicts")
+    assert page.count('<path class="epipole"') == 4
+    assert (
+        len(re.findall(r'(?:src|href)="data:image/jpeg;base64,', page)) == len(re.findall(r'(?:src|href)="', page)) == 6
+    )
+    assert "<b>&'" not in page
+    assert "confidence: high (" in page
+    assert "the poses fit" in page
+    assert "expected a new file" in omnisyn("info", *arguments).err
+
+
+def test_wrong_poses_are_seen_in_red(tmp_path: Path, room: list[Path], omnisyn: Omnisyn) -> None:
+    edit_poses(tmp_path, lambda panoramas: panoramas[SECOND].update(rotation=[0.98, 0, 0.199, 0]))
+    omnisyn.made("info", *room, tmp_path / "poses.json", "--preset", "fast", "--report", tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert circles(page, "contradicts") > 10 * circles(page, "fits")
+
+
+def test_a_report_is_about_two_panoramas_and_one_pose_file(tmp_path: Path, room: list[Path], omnisyn: Omnisyn) -> None:
+    page, poses = tmp_path / "report.html", tmp_path / "poses.json"
+    for files, message in (
+        ([room[0], poses], "expected two or more panoramas, got 1"),
+        ([*room, poses, poses], "one pose file"),
+    ):
+        result = omnisyn("info", *files, "--report", page)
+        assert message in result.err
+        assert result.code in (2, 3)
+        assert not page.exists()
