@@ -1,14 +1,18 @@
 """Panoramas survive reading exactly, arrive upright and whole, and damage never passes."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
+import PIL.ImageCms
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from io_samples import smooth_image, write_with
 
 from omnisyn_cli.errors import ImageError, OutputPathError, WriteError
+from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import read_header, read_mask, read_panorama, write_image
 from omnisyn_cli.io.images import upright
 from process_limits import file_size_limit
@@ -258,3 +262,44 @@ def test_what_is_no_picture_is_a_value_error(tmp_path, image):
     with pytest.raises(ValueError, match="expected"):
         write_image(tmp_path / "a.png", image)
     assert not list(tmp_path.iterdir())
+
+
+def saved(path: Path, *, mode: str = "RGB", more: int = 0, size: tuple[int, int] = (32, 16)) -> Path:
+    """An image as Pillow writes it, of ``more`` pictures after the first."""
+    rng = np.random.default_rng(0)
+    pictures = [PIL.Image.fromarray(rng.integers(0, 256, (*size[::-1], 3), np.uint8)) for _ in range(more + 1)]
+    if mode == "LAB":
+        profiles = PIL.ImageCms.createProfile("sRGB"), PIL.ImageCms.createProfile("LAB")
+        pictures[0] = PIL.ImageCms.profileToProfile(pictures[0], *profiles, outputMode="LAB")
+    else:
+        pictures[0] = pictures[0].convert(mode)
+    pictures[0].save(path, **({"save_all": True, "append_images": pictures[1:]} if more else {}))
+    return path
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "CMYK", "YCbCr", "P", "LAB"])
+def test_a_tiff_whose_colours_nobody_converts_is_refused(tmp_path: Path, mode: str) -> None:
+    path = saved(tmp_path / "a.tif", mode=mode)
+    if mode == "LAB":
+        for read in (read_header, read_panorama):
+            with pytest.raises(ImageError, match="expected colours in RGB, grey or CMYK, got CIELAB; convert"):
+                read(path)
+    else:
+        assert read_panorama(path).image.shape == (16, 32, 3)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.webp", "a.png", "a.tif"])
+def test_it_is_known_that_an_image_is_animated(tmp_path: Path, name: str) -> None:
+    first = saved(tmp_path / f"one_{name}")
+    many = saved(tmp_path / f"many_{name}", more=2)
+    assert not read_header(first).has_more_pictures
+    assert read_header(many).has_more_pictures
+    assert np.abs(read_panorama(many).image - read_panorama(first).image).mean() < 0.1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere file names are text")
+def test_a_name_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.png").rename(tmp_path / "a\udc9b.png")
+    for read in (read_header, read_panorama, describe_file):
+        with pytest.raises(ImageError, match="expected a file name in UTF-8"):
+            read(path)

@@ -62,6 +62,7 @@ def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
         "channels": list(header.channels),
         "has_alpha": header.alpha_channel >= 0,
         "orientation": header.orientation,
+        "has_more_pictures": header.has_more_pictures,
         "gpano": {
             name.removeprefix("GPano:"): value if isinstance(value, int | float) else str(value)
             for name, value in header.attributes.items()

@@ -45,6 +45,15 @@ SHOWN_ATTRIBUTE = "omnisyn:displayReferred"
 HARMLESS_COMPLAINTS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
 
+TIFF_RGB = 2
+
+TIFF_COLOURS = (0, 1, TIFF_RGB, 3, 5, 6)
+"""Photometric interpretations that OpenImageIO turns into RGB or grey: inverted grey, grey, RGB, palette, CMYK, YCbCr.
+Others, such as CIELAB (8), it hands out as if they were RGB. Source: TIFF 6.0, section 8."""
+
+FORMATS_OF_MANY_PICTURES = ("gif", "tiff", "openexr")
+"""Formats whose pictures can be turned to and back; of a WebP there is no way back, but it says what it is."""
+
 MAX_RIFF_CHUNKS = 10_000
 """A picture has a dozen chunks; a file with more is hostile."""
 
@@ -75,6 +84,7 @@ class ImageHeader:
         is_alpha_associated: whether colours are stored multiplied by alpha.
         orientation: EXIF orientation, 1 to 8.
         attributes: all other metadata by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``.
+        has_more_pictures: whether others of its size follow, as in an animation; only the first is read.
     """
 
     path: Path
@@ -91,6 +101,7 @@ class ImageHeader:
     is_alpha_associated: bool
     orientation: int
     attributes: Mapping[str, Any]
+    has_more_pictures: bool = False
 
     @property
     def is_linear(self) -> bool:
@@ -214,6 +225,8 @@ def _opened(path: Path, *, with_pixels: bool = False) -> Iterator[tuple[ImageHea
 
 def check_is_file(path: Path) -> None:
     """Refuse paths that are missing, a folder, an empty file or not readable."""
+    if (name := str(path)).encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
+        raise ImageError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
     try:
         if not path.is_file():
             found = "a folder" if path.is_dir() else "a device or a pipe" if path.exists() else "no such file"
@@ -227,7 +240,11 @@ def check_is_file(path: Path) -> None:
 
 
 def _header(path: Path, reader: Any) -> ImageHeader:
+    has_more_pictures = _has_more_pictures(path, reader)
     spec = reader.spec()
+    if (colours := spec.get_int_attribute("tiff:PhotometricInterpretation", TIFF_RGB)) not in TIFF_COLOURS:
+        found = spec.get_string_attribute("tiff:ColorSpace", f"kind {colours}")
+        raise ImageError(f"{path}: expected colours in RGB, grey or CMYK, got {found}; convert the image to sRGB")
     try:
         channels = tuple(spec.channelnames)
     except UnicodeDecodeError as error:
@@ -249,7 +266,23 @@ def _header(path: Path, reader: Any) -> ImageHeader:
         is_alpha_associated=spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0,
         orientation=spec.get_int_attribute("Orientation", 1),
         attributes=_attributes(path, reader),
+        has_more_pictures=has_more_pictures,
     )
+
+
+def _has_more_pictures(path: Path, reader: Any) -> bool:
+    """Whether pictures of the same size follow the first; smaller ones are thumbnails and reductions of it."""
+    if reader.format_name() == "png":
+        return next((name == b"acTL" for name, _ in _png_chunks(path) if name in (b"acTL", b"IDAT")), False)
+    first = reader.spec()
+    if reader.format_name() not in FORMATS_OF_MANY_PICTURES:
+        return bool(first.get_int_attribute("oiio:Movie", 0))
+    has_same_size = bool(reader.seek_subimage(1, 0)) and (
+        (reader.spec().width, reader.spec().height) == (first.width, first.height)
+    )
+    _complaint(reader.geterror)  # a damaged second picture does no harm
+    reader.seek_subimage(0, 0)
+    return has_same_size
 
 
 def _attributes(path: Path, reader: Any) -> dict[str, Any]:
@@ -281,14 +314,18 @@ def _check_png_is_complete(path: Path) -> None:
     Source: PNG specification, section 5.3, chunk layout.
     """
     size = path.stat().st_size
+    if not any(name == b"IEND" and end <= size for name, end in _png_chunks(path)):
+        raise damaged(path, "PNG without its end marker")
+
+
+def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
+    """Name of each chunk of a PNG, and where in the file it ends."""
     with path.open("rb") as file:
         file.seek(8)
         while len(head := file.read(8)) == 8:
             end = file.tell() + int.from_bytes(head[:4], "big") + 4
-            if head[4:] == b"IEND" and end <= size:
-                return
+            yield head[4:], end
             file.seek(end)
-    raise damaged(path, "PNG without its end marker")
 
 
 def panorama_tags(path: Path) -> dict[str, int | float | str]:
