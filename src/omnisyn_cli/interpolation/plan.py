@@ -34,6 +34,9 @@ __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "TourPlan", "frame_count", "
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
 
+MAX_USUAL_BASELINE_METRES = 100.0
+"""Farther apart, panoramas have nothing in common: more is worth a note."""
+
 MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
@@ -222,7 +225,8 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     recipe = _installed(recipe_of(job, entries))
     checks.check_companions(job, entries, source_sizes, recipe)
-    notes = (*remarks, *_notes_about_pictures(job), *_notes_about_depth(job, entries, recipe))
+    about_places = _notes_about_baselines(job, entries)
+    notes = (*remarks, *_notes_about_pictures(job), *about_places, *_notes_about_depth(job, entries, recipe))
     return TourPlan(job, entries, source_sizes, recipe, notes)
 
 
@@ -355,6 +359,15 @@ def _notes_about_pictures(job: TourJob) -> Iterator[str]:
     ]
     if squeezed:
         yield f"{listed(squeezed)}: 16:9, taken for squeezed frames of a 360° video and stretched to 2:1"
+    if several := [image.name for image in job.images if read_header(image).has_more_pictures]:
+        yield f"{listed(several)}: holds several pictures or is animated; the first picture is taken"
+
+
+def _notes_about_baselines(job: TourJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
+    for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
+        metres = math.dist(first.pose.position, second.pose.position)
+        if metres > MAX_USUAL_BASELINE_METRES:
+            yield f"{a.name} and {b.name} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
 
 
 def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
