@@ -3,13 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import PIL.Image
 import pytest
 
 from cli.cli_samples import Omnisyn, write_pair
 from interpolation_samples import CHAIN
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.inputs import NamedTour, named_tour, video_ending
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
-from omnisyn_cli.poses.file import POSES_NAME, read_poses, write_poses
+from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, read_poses, write_poses
 from synthesis_samples import write_hall
 
 COMMANDS: dict[str, tuple[str, tuple[object, ...]]] = {
@@ -187,3 +190,17 @@ def test_poses_from_another_folder_are_said_to_be(walk: Path, omnisyn: Omnisyn, 
     assert f"{room / second}: the pose is taken from {walk / POSES_NAME}, which lies in another folder" in plan["notes"]
     (room / second).rename(walk / second)
     assert not any("another folder" in note for note in planned(omnisyn, command, walk / first, walk / second)["notes"])
+
+
+@every_command
+def test_what_is_unusual_about_the_input_is_noted(walk: Path, omnisyn: Omnisyn, command: str) -> None:
+    """An animation is its first picture; a thousand kilometres between panoramas are a mistake."""
+    first, second, _ = names(walk)
+    picture = PIL.Image.open(walk / first)
+    picture.save(walk / "moving.gif", save_all=True, append_images=[PIL.Image.open(walk / second)])
+    entries = read_poses(walk / POSES_NAME).panoramas
+    far = PosedPanorama(Pose(np.eye(3), np.array([1e6, 0, 0])))
+    write_poses(walk / POSES_NAME, {first: PosedPanorama(entries[first].pose), "moving.gif": far})
+    notes = planned(omnisyn, command, walk / first, walk / "moving.gif", "--depth", "matching")["notes"]
+    assert f"{first} and moving.gif are 1,000,000 m apart; are the positions in metres, and in this order?" in notes
+    assert "'moving.gif': holds several pictures or is animated; the first picture is taken" in notes
