@@ -78,7 +78,7 @@ class BatchJob:
         if "size" in options:
             width, _, height = options["size"].partition("x")
             options["size"] = int(height), int(width)
-        for angle in {"nadir", "hfov", "vfov"} & options.keys():
+        for angle in {"nadir", "hfov", "vfov", "fov"} & options.keys():
             options[angle] = math.radians(options[angle])
         options["masks"] = self.masks
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}

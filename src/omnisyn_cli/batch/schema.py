@@ -109,6 +109,7 @@ MANIFEST_TYPES: Mapping[str, Any] = {
     "nadir": Annotated[float, Field(ge=0, lt=90)],
     "hfov": Annotated[float, Field(gt=0, le=360)] | None,
     "vfov": Annotated[float, Field(gt=0, le=180)] | None,
+    "fov": Annotated[float, Field(gt=0, lt=180)] | None,
     **{name: Literal[names] for name, names in CHOICES.items()},
 }
 """Types of options that a line writes in another way than :class:`InterpolationJob`, which says all other ranges."""

@@ -9,10 +9,10 @@ import click
 SECTIONS: Mapping[str, str] = {
     "Input": "poses baseline refine masks nadir allow_outside allow_aspect upper_half hfov vfov horizon "
     "view_transform max_pixels",
-    "Output": "output frames duration fps size format view codec crf encoder_preset texture lossless folder serve "
-    "is_opened stride sky dome save_depth save_confidence save_frames overwrite",
+    "Output": "output frames duration fps size format view views stereo codec crf encoder_preset texture lossless "
+    "folder serve is_opened stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
-    "Camera": "ease heading",
+    "Camera": "ease heading fov look",
     "Depth": "depth model cut cut_metres",
     "For comparison": "method renderer fusion adaptive",
     "Other": "dry_run as_json verbose quiet help_all help",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -26,7 +27,7 @@ from omnisyn_cli.cli.options import (
     threads_option,
     tour_options,
 )
-from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
+from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.config import FALLBACKS
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
 )
 @click.option(
-    "--size", type=Size(),
+    "--size", type=Size(is_free=True),
     help="Size of the video, such as 2048x1024.  [default: that of the largest panorama, in H.264 at most 4096x2048]",
 )  # fmt: skip
 @click.option(
@@ -118,11 +119,22 @@ if TYPE_CHECKING:
     help="Save the frames as images too: PNG, or a pattern such as DIR/%05d.jpg.",
 )
 @click.option(
-    "--view",
-    metavar="FILE",
-    type=FilePath(),
-    help="Also write a page to walk in (.html), see `omnisyn view`.",
+    "--view", "views", metavar="flat|FILE", multiple=True, type=FilePath(),
+    help="flat: an ordinary video instead of a 360° one. FILE (.html): also write a page to walk in, see `omnisyn "
+    "view`.",
+)  # fmt: skip
+@click.option(
+    "--fov", metavar="DEGREES", type=DegreeRange(10, 150), help="What the width of a flat video spans.  [default: 90]"
 )
+@click.option(
+    "--look", metavar="WHERE",
+    help="Which way a flat video looks: ahead, first (as the first panorama), YAW,PITCH in degrees from there, or a "
+    "JSON file of keyframes.  [default: ahead]",
+)  # fmt: skip
+@click.option(
+    "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono", show_default=True,
+    help="top-bottom: both eyes for headsets, one above the other. Distances have to be in metres.",
+)  # fmt: skip
 @device_option(
     "Where networks run; auto uses a GPU if ONNX Runtime has one. cuda also makes the frames on it (renderer mesh, "
     "fusion geometric). Poses and matching always run on the processor."
@@ -140,7 +152,7 @@ if TYPE_CHECKING:
 @quiet_option
 def interpolate(
     *, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
-    nadir: float, **options: Any,
+    nadir: float, views: tuple[Path, ...], **options: Any,
 ) -> None:  # fmt: skip
     """Make a 360° video from panorama A to B, and on through C and more.
 
@@ -162,6 +174,7 @@ def interpolate(
     from omnisyn_cli.interpolation.recipes import check_device
 
     check_one_cut(options)
+    options |= _views(views)
     if budget is not None:
         _check_budget_decides(options["method"])
     given = named(options, lambda: video_ending(options["codec"]))
@@ -193,6 +206,15 @@ def _processor_seconds() -> float:
     import os
 
     return sum(os.times()[:4])
+
+
+def _views(given: tuple[Path, ...]) -> dict[str, Any]:
+    """The projection of the video, and the page to walk in, of what ``--view`` was given."""
+    pages = [path for path in given if str(path) != "flat"]
+    if len(pages) > 1:
+        raise click.UsageError(f"expected one page (--view FILE), got {len(pages)}; leave out all but one")
+    projection = "equirectangular" if len(pages) == len(given) else "flat"
+    return {"view": pages[0] if pages else None, "projection": projection}
 
 
 def _load() -> Callable[..., Summary]:
@@ -232,7 +254,7 @@ def _print_summary(summary: Summary, *, verbose: bool) -> None:
             say(f"{stage:>8}: {seconds:8.2f} s", err=True)
         for line in summary.made.lines():
             say(line, err=True)
-    height, width = summary.plan.size
+    height, width = summary.plan.frame_size
     frames, total = len(summary.plan.path), summary.seconds["total"]
     say(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
     if summary.plan.job.view is not None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import DEVICES
@@ -63,6 +63,11 @@ nadir_option = click.option(
 )  # fmt: skip
 
 
+upper_half_option = click.option(
+    "--upper-half", is_flag=True, help="Use the upper half of every panorama: one eye of top-bottom stereo."
+)
+
+
 tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
@@ -104,6 +109,23 @@ cut_options = all_of(
 
 size_options = all_of(
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
+    upper_half_option,
+    click.option(
+        "--hfov", metavar="DEGREES", type=DegreeRange(0, 360, min_open=True),
+        help="Panoramas without tags are parts of the sphere, this wide; the rest is filled in.",
+    ),
+    click.option(
+        "--vfov", metavar="DEGREES", type=DegreeRange(0, 180, min_open=True),
+        help="How high such parts are.  [default: follows from --hfov]",
+    ),
+    click.option(
+        "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5, show_default=True,
+        help="Where their horizon is, from 0 at the top to 1 at the bottom.",
+    ),
+    click.option(
+        "--view-transform/--no-view-transform", default=True,
+        help="Show linear light of EXR and HDR files as screens do, or take its numbers.  [default: show it]",
+    ),
     click.option(
         "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
         help="Refuse panoramas, masks and depth files with more pixels, before decoding.",

@@ -92,14 +92,20 @@ class FramePlace(FilePath):
 
 
 class Size(SizeType):
-    """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program."""
+    """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program; twice as wide as high unless free."""
 
     name = "WxH"
 
+    def __init__(self, *, is_free: bool = False) -> None:
+        self._is_free = is_free
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Two positive numbers, twice as wide as high."""
+        """Two positive numbers."""
         if isinstance(value, tuple):
             return value
+        width, _, height = str(value).lower().partition("x")
+        if self._is_free and width.isdecimal() and height.isdecimal() and int(width) * int(height) > 0:
+            return int(height), int(width)
         try:
             return frame_size(str(value))
         except ValueError as error:

@@ -174,7 +174,7 @@ def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | 
 
     Raises OmnisynError: something that was given cannot be used, or writing failed.
     """
-    if options.get("size") is not None:
+    if options.get("size") is not None and options.get("projection") != "flat":
         options["size"] = frame_size(options["size"])
     options |= {name: Path(options[name]) for name in OUTPUTS if options.get(name) is not None}
     options["masks"] = tuple(map(Path, options.get("masks", ())))

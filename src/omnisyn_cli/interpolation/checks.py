@@ -95,6 +95,29 @@ def check_method(job: InterpolationJob) -> None:
             )
 
 
+def check_view(job: InterpolationJob) -> None:
+    """Refuse what does not go with a flat view or with both eyes, and what only goes with one.
+
+    Raises InputError: there is one.
+    """
+    is_flat, is_stereo = job.projection == "flat", job.stereo != "mono"
+    kind = "--view flat" if is_flat else "--stereo top-bottom" if is_stereo else "a 360° video"
+    unfit = {
+        "fov": not is_flat and job.fov is not None,
+        "look": not is_flat and job.look is not None,
+        "heading": is_flat and job.heading != "panoramas",
+        "stereo": is_flat and is_stereo,
+        "save-confidence": is_stereo and job.save_confidence is not None,
+        "device cuda": (is_flat or is_stereo) and job.device == "cuda",
+        "fusion": is_flat and job.fusion not in ("auto", "geometric"),
+        "renderer": is_flat and job.renderer not in ("auto", "mesh"),
+        "method": (is_flat or is_stereo) and job.method != OMNISYN,
+    }
+    for option, is_unfit in unfit.items():
+        if is_unfit:
+            raise InputError(f"expected no --{option} with {kind}, got one; leave it out")
+
+
 def source_size(job: TourJob, image: Path) -> tuple[int, int]:
     """Height and width of the panorama that a file becomes. Raises ImageError: there is none."""
     header, reading = read_header(image), reading_of(job)
@@ -123,7 +146,7 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         InputError: the size is not 2:1 or too large, or nothing that the encoder can do.
         OutputPathError: a place exists already, cannot be written to, or is that of another output.
     """
-    if size[1] != 2 * size[0]:
+    if size[1] != 2 * size[0] and job.projection != "flat":
         raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(f"expected a size of at most {MAX_PIXELS:,} pixels, got {size[1]}x{size[0]}; ask for less")
@@ -131,8 +154,9 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         raise OutputPathError(
             f"{job.save_frames}: expected a folder or a pattern such as frames/%05d.png, got a file name"
         )
+    whole = (2 * size[0], size[1]) if job.stereo == "top-bottom" else size
     for place, encoding in targets(job).items():
-        check_video(place, size=size, overwrite=job.overwrite, **encoding)
+        check_video(place, size=whole, overwrite=job.overwrite, **encoding)
     if job.save_confidence is not None:
         check_video(job.save_confidence, size=size, fps=job.fps, overwrite=job.overwrite)
     if job.view is not None:

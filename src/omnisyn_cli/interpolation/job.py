@@ -35,6 +35,8 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
     "heading": HEADINGS,
     "device": DEVICES,
     "fallback": FALLBACKS,
+    "projection": ("equirectangular", "flat"),
+    "stereo": ("mono", "top-bottom"),
 }
 """Names that fields of a job take."""
 
@@ -112,6 +114,10 @@ class InterpolationJob(TourJob):
         renderer: one of :data:`omnisyn_cli.pipeline.renderers.RENDERERS`, or ``auto``: what the preset says.
         fusion: one of :data:`omnisyn_cli.pipeline.fusions.FUSIONS`, or ``auto``: what the preset says where depth is
             found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.
+        projection: of the video: ``equirectangular``, or ``flat`` for an ordinary one.
+        fov: radians that the width of a flat video spans; None takes 90 degrees.
+        look: which way a flat video looks, see :func:`omnisyn_cli.interpolation.look.look_along`; None is ahead.
+        stereo: ``mono``, or ``top-bottom`` for both eyes one above the other.
         ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
         codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.
@@ -128,6 +134,10 @@ class InterpolationJob(TourJob):
     method: str = OMNISYN
     renderer: str = "auto"
     fusion: str = "auto"
+    projection: str = "equirectangular"
+    fov: Annotated[float, Interval(gt=0, lt=radians(180))] | None = None
+    look: str | None = None
+    stereo: str = "mono"
     ease: Ease = "linear"
     heading: Heading = "panoramas"
     codec: str | None = None
@@ -156,9 +166,14 @@ def targets(job: InterpolationJob) -> dict[Path, dict[str, Any]]:
         places[job.save_frames] = {"fps": job.fps, "dtype": sample_type(job.save_frames)}
     places[job.output] = {
         "fps": job.fps, "codec": job.codec, "crf": job.crf, "preset": job.encoder_preset,
-        "dtype": sample_type(job.output, job.codec),
+        "dtype": sample_type(job.output, job.codec), "stereo_mode": stereo_mode(job),
     }  # fmt: skip
     return places
+
+
+def stereo_mode(job: InterpolationJob) -> str | None:
+    """What players are told of its video, see :class:`omnisyn_cli.io.video.Encoding`."""
+    return None if job.projection == "flat" else job.stereo
 
 
 def sample_types(job: InterpolationJob) -> list[str]:

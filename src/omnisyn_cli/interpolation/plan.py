@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
+from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
 from omnisyn_cli.interpolation.planning.memory import (
     Footprint,
     estimated_memory,
@@ -27,12 +29,18 @@ from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
 from omnisyn_cli.runtime.models import find_model
-from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
+from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, plan_path
 
 __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "TourPlan", "frame_count", "plan_interpolation", "with_preset"]
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
+
+FLAT_SIZE = (1080, 1920)
+"""Height and width of a flat video unless the user says otherwise."""
+
+DEFAULT_FOV = math.radians(90.0)
+"""Of a flat video."""
 
 MAX_USUAL_BASELINE_METRES = 100.0
 """Farther apart, panoramas have nothing in common: more is worth a note."""
@@ -130,7 +138,7 @@ class InterpolationPlan(TourPlan):
     """A job that has been checked, with the video that it asks for.
 
     Attributes:
-        size: (height, width) of the video.
+        size: (height, width) of the video, or of what one eye sees.
         path: a waypoint for every frame.
         length: metres from the first panorama to the last.
         memory: bytes that the pictures and buffers will take, estimated.
@@ -142,9 +150,14 @@ class InterpolationPlan(TourPlan):
     length: float
     memory: int
 
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """(height, width) of the frames that are written: both eyes, if there are two."""
+        return (2 * self.size[0], self.size[1]) if self.job.stereo == "top-bottom" else self.size
+
     def what(self) -> str:
         """The video, or the images, in a few words."""
-        (height, width), frames = self.size, len(self.path)
+        (height, width), frames = self.frame_size, len(self.path)
         if is_sequence(self.job.output):
             return f"{frames} {_encoder(self.job)} of {width}x{height}"
         codec = CODEC_NAMES[self.job.codec or "h264"]
@@ -152,7 +165,7 @@ class InterpolationPlan(TourPlan):
 
     def describe(self) -> dict[str, Any]:
         """See :meth:`TourPlan.described`."""
-        (height, width), recipe, job = self.size, self.recipe, self.job
+        (height, width), recipe, job = self.frame_size, self.recipe, self.job
         is_own = recipe.draws_surfaces
         video = {
             "frames": len(self.path), "fps": job.fps, "seconds_of_video": round(len(self.path) / job.fps, 3),
@@ -173,15 +186,21 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     """
     checks.check_choices(job)
     checks.check_method(job)
+    checks.check_view(job)
     tour = plan_tour(job, video_recipe)
     entries, frames = tour.entries, frame_count(job)
     size = job.size or default_size(job, tour.source_sizes)
+    if job.projection == "flat":
+        size = PerspectiveSize(*size, DEFAULT_FOV if job.fov is None else job.fov)
     sources = tuple(reduced_size(source, size) for source in tour.source_sizes)
     checks.check_outputs(job, size)
     checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     recipe = for_frames(tour.recipe, job, frames)
-    path = tuple(plan_path(poses, frames, ease=job.ease, heading=job.heading))
+    heading: Heading = "travel" if job.projection == "flat" else job.heading
+    path = tuple(plan_path(poses, frames, ease=job.ease, heading=heading))
+    if job.projection == "flat":
+        path = look_along(path, poses[0], job.look or LOOK_AHEAD)
     return InterpolationPlan(
         job, entries, sources, recipe,
         (*tour.notes, *_notes_about_video(job, entries, recipe), *_notes_about_size(job, tour.source_sizes, sources),
@@ -193,15 +212,19 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
 
 def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> tuple[int, int]:
     """Height and width of the video: those of the largest panorama, even, as far as players show them."""
+    if job.projection == "flat":
+        return FLAT_SIZE
     rows = max(sources)[0]
     limit = None if is_sequence(job.output) else CODECS[job.codec or "h264"].player_rows
+    if job.stereo != "mono" and limit is not None:  # both eyes have the pixels of one
+        limit = limit * 45 // 64
     rows = rows + rows % 2 if limit is None else min(rows + rows % 2, limit)
     return rows, 2 * rows
 
 
 def reduced_size(source: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
     """Height and width at which a panorama is read for frames of a size: no detail of it is seen in them."""
-    rows = max(READING_SHARE * size[0], MIN_READING_ROWS)
+    rows = max(READING_SHARE * equivalent_rows(size), MIN_READING_ROWS)
     return (rows, 2 * rows) if source[0] > MIN_REDUCTION * rows else source
 
 
@@ -338,7 +361,7 @@ def _notes_about_size(
     job: InterpolationJob, sources: Sequence[tuple[int, int]], read: Sequence[tuple[int, int]]
 ) -> Iterator[str]:
     (rows, columns), (height, width) = max(sources), default_size(job, sources)
-    if job.size is None and height < rows:
+    if job.size is None and job.projection != "flat" and height < rows:
         codec = CODEC_NAMES[job.codec or "h264"]
         more = " or --codec h265" if codec == "H.264" else ""
         yield (

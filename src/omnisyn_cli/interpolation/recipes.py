@@ -54,6 +54,8 @@ def video_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Rec
         fusion=_fusion(job, surfaces.depth.kind, defaults), fusion_rows=defaults.fusion_rows, edges=defaults.edges,
         confidence=job.save_confidence is not None,
     )  # fmt: skip
+    if job.projection == "flat":  # networks and edge pixels know panoramas alone
+        recipe = replace(recipe, renderer="mesh", fusion="geometric", edges=False)
     return _on_gpu(recipe, job) if job.device == "cuda" else recipe
 
 

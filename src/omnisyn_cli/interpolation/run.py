@@ -6,6 +6,7 @@ Frames, their confidence and the depth of panoramas appear when everything has g
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from statistics import fmean
 
 import numpy as np
@@ -16,7 +17,7 @@ from omnisyn_cli.compute.threads import limited_threads, run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, targets
+from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, stereo_mode, targets
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.summary import Made, Summary, refuse_doubtful
@@ -28,6 +29,7 @@ from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
 from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.render.eyes import top_bottom
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
 from omnisyn_cli.synthesis.prepared_pair import measure_pair
@@ -80,8 +82,9 @@ def confidence_sink(plan: InterpolationPlan) -> Iterator[Callable[[Frame], None]
         yield lambda frame: None
         return
     with open_video(
-        job.save_confidence, size=plan.size, fps=job.fps, threads=job.threads or 0, overwrite=job.overwrite
-    ) as sink:
+        job.save_confidence, size=plan.size, fps=job.fps, threads=job.threads or 0, overwrite=job.overwrite,
+        stereo_mode=stereo_mode(job),
+    ) as sink:  # fmt: skip
 
         def keep(frame: Frame) -> None:
             if frame.confidence is not None:
@@ -97,11 +100,11 @@ def frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
     job = plan.job
     with ExitStack() as stack:
         opened = [
-            open_video(place, size=plan.size, threads=job.threads or 0, overwrite=job.overwrite, **encoding)
+            open_video(place, size=plan.frame_size, threads=job.threads or 0, overwrite=job.overwrite, **encoding)
             for place, encoding in targets(job).items()
         ]
         sinks = [stack.enter_context(sink) for sink in opened]
-        yield [stack.enter_context(BackgroundSink(sink, frames_in_queue(plan.size))) for sink in sinks]
+        yield [stack.enter_context(BackgroundSink(sink, frames_in_queue(plan.frame_size))) for sink in sinks]
 
 
 def run_interpolation(
@@ -137,9 +140,11 @@ def run_interpolation(
             frame_sinks(plan) as sinks,  # finished first: if that fails, nothing else is kept either
         ):
             keeper = _PairKeeper(plan, loader, keep_depth, clock)
-            rounds_early = is_rounded(plan.job) and isinstance(method, SurfaceMethod)
+            is_stereo = plan.job.stereo != "mono"
+            rounds_early = is_rounded(plan.job) and isinstance(method, SurfaceMethod) and not is_stereo
             ring = FrameRing(plan.size, frames_in_queue(plan.size)) if rounds_early else None
-            frames = synthesize(loader, plan.path, method, ring, keeper)
+            frames = synthesize(loader, plan.path, method, ring, keeper, photographs=not is_stereo)
+            frames = keeper.both_eyes(frames) if is_stereo else frames
             for done, frame in enumerate(frames, start=1):
                 keeper.count(frame)
                 samples = {kind: samples_of(frame, kind, loader, threads) for kind in kinds}
@@ -172,11 +177,13 @@ class _PairKeeper:
         self._packer = None if plan.job.view is None else TourPacker(plan, ViewOptions())
         self.pairs: dict[int, PairConfidence] = {}
         self.made = Made()
+        self._current: SurfacePair | None = None
 
     def __call__(self, index: int, pair: Pair) -> None:
         """Look at a pair before its frames are made; give up on a doubtful one if that is asked for."""
         if not isinstance(pair, SurfacePair):
             return
+        self._current = pair
         self.pairs[index] = confidence = pair.prepared.check.confidence
         if pair.prepared.triangles is not None:
             self.made.triangles[index] = pair.prepared.triangles
@@ -184,6 +191,15 @@ class _PairKeeper:
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.check)
         self._loader.release_floats(index)
+
+    def both_eyes(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """What the left eye sees of each frame above what the right eye sees."""
+        for frame in frames:
+            if self._current is not None:
+                with self._clock("eyes"):
+                    inverse_depth = self._current.inverse_depth(frame.waypoint)
+                    image = top_bottom(frame.image, inverse_depth, self._plan.job.threads)
+                yield replace(frame, image=image, panorama=None)
 
     def count(self, frame: Frame) -> None:
         """Look at a frame."""

@@ -43,7 +43,7 @@ SPHERICAL_XML = (
     "<GSpherical:Stitched>true</GSpherical:Stitched>"
     f"<GSpherical:StitchingSoftware>{SOFTWARE}</GSpherical:StitchingSoftware>"
     "<GSpherical:ProjectionType>equirectangular</GSpherical:ProjectionType>"
-    "</rdf:SphericalVideo>"
+    "{stereo}</rdf:SphericalVideo>"
 )
 
 STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}
@@ -73,8 +73,10 @@ class SphericalMetadata:
     software: str | None = None
 
 
-def inject_spherical(source: Path | str, target: Path | str) -> None:
-    """Copy an MP4 or MOV file with its video tracks tagged as equirectangular mono panoramas, both versions.
+def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | None = "mono") -> None:
+    """Copy an MP4 or MOV file with its video tracks tagged as equirectangular panoramas, both versions.
+
+    ``stereo_mode`` is one of :data:`STEREO_MODES`' words; None is that of a flat video, which gets no tags.
 
     ``moov`` is put before the media data, so that players can start before the whole file has come. Tags that are there
     already are replaced. Media data are streamed, never loaded. An existing target is replaced.
@@ -88,7 +90,8 @@ def inject_spherical(source: Path | str, target: Path | str) -> None:
     boxes = tuple(sorted(top_level_boxes(origin), key=lambda box: ranks.get(box.kind, 2)))
     movie = parse_movie(origin, boxes)
     _first_video_track(origin, movie)  # without one there is nothing to tag
-    movie = map_boxes(movie, _tagged)
+    if stereo_mode is not None:
+        movie = map_boxes(movie, lambda box: _tagged(box, stereo_mode))
     # A table of offsets has the same size wherever it points, so the new movie's size is known before its content.
     wide = _is_wide(boxes, movie)
     new_size = len(serialize(shift_offsets(origin, movie, lambda offset: offset, wide=wide)))
@@ -120,24 +123,27 @@ def _first_video_track(path: Path, movie: Box) -> Box:
     return track
 
 
-def _tagged(box: Box) -> Box:
+def _tagged(box: Box, stereo_mode: str) -> Box:
     """A video track with version 1, its sample entries with version 2; former tags are replaced."""
     if box.kind == b"trak" and video_sample_entries(box):
         others = (inner for inner in box.children or () if not _is_version_1(inner))
-        return replace(box, children=(*others, Box(b"uuid", SPHERICAL_UUID + SPHERICAL_XML.encode())))
+        stereo = "" if stereo_mode == "mono" else f"<GSpherical:StereoMode>{stereo_mode}</GSpherical:StereoMode>"
+        text = SPHERICAL_XML.format(stereo=stereo)
+        return replace(box, children=(*others, Box(b"uuid", SPHERICAL_UUID + text.encode())))
     if box.kind == b"stsd" and box.children is not None:
-        return replace(box, children=tuple(map(_tagged_entry, box.children)))
+        return replace(box, children=tuple(_tagged_entry(entry, stereo_mode) for entry in box.children))
     return box
 
 
-def _tagged_entry(entry: Box) -> Box:
+def _tagged_entry(entry: Box, stereo_mode: str) -> Box:
     others = (box for box in entry.children or () if box.kind not in (b"st3d", b"sv3d"))
     # full boxes begin with version and flags, four zeros
     header = Box(b"svhd", bytes(4) + SOFTWARE.encode() + b"\0")
     orientation = Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))  # yaw, pitch, roll, 16.16 fixed point
     whole_sphere = Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))  # top, bottom, left, right: uncropped
     projection = Box(b"sv3d", b"", (header, Box(b"proj", b"", (orientation, whole_sphere))))
-    return replace(entry, children=(*others, Box(b"st3d", bytes(4) + b"\0"), projection))  # stereo mode 0: mono
+    mode = next(number for number, name in STEREO_MODES.items() if name == stereo_mode)
+    return replace(entry, children=(*others, Box(b"st3d", bytes([0, 0, 0, 0, mode])), projection))
 
 
 def _is_wide(boxes: tuple[FileBox, ...], movie: Box) -> bool:

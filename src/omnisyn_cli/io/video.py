@@ -59,6 +59,7 @@ class Encoding(TypedDict, total=False):
         preset: x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``.
         threads: for the encoder; 0 (default) takes all.
         dtype: of the frames, ``uint8`` (default) or ``uint16`` (10 bits; not for H.264). Image sequences take any.
+        stereo_mode: what players are told of a video: ``mono`` (default) or ``top-bottom`` panoramas; None: it is flat.
     """
 
     size: Required[tuple[int, int]]
@@ -68,6 +69,7 @@ class Encoding(TypedDict, total=False):
     preset: str | None
     threads: int
     dtype: str
+    stereo_mode: str | None
 
 
 def check_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> None:
@@ -101,7 +103,8 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     target = Path(path)
     resolved = _checked(target, overwrite, encoding)
     if isinstance(resolved, EncoderSettings):
-        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, overwrite=overwrite)
+        stereo_mode = encoding.get("stereo_mode", "mono")
+        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, stereo_mode, overwrite=overwrite)
     else:
         place = open_sequence(resolved, encoding["size"], overwrite=overwrite)
     with place as sink:
@@ -120,6 +123,7 @@ def _checked(path: Path, overwrite: bool, encoding: Encoding) -> ImageSequence |
 def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> ImageSequence | EncoderSettings:
     """The image sequence that a path means, or how its video is encoded."""
     sequence = _sequence_of(path, codec)
+    encoding.pop("stereo_mode", None)  # nothing that an encoder sees
     if sequence is None:
         settings = EncoderSettings(codec=_codec_of(path, codec), **encoding)
         check_settings(path, settings)
@@ -130,7 +134,9 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
 
 
 @contextmanager
-def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Iterator[EncoderProcess]:
+def _encoded(
+    target: Path, settings: EncoderSettings, stereo_mode: str | None, *, overwrite: bool
+) -> Iterator[EncoderProcess]:
     """An encoder to a hidden file, which becomes ``target``, tagged as spherical, when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
     command, shape = encoder_command(encoded, settings), (*settings.size, 3)
@@ -143,7 +149,7 @@ def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Ite
         with EncoderProcess(command, target, shape, settings.dtype, packed) as encoder:
             yield encoder
         check_output(target, overwrite)  # somebody else may have made one in the meantime
-        inject_spherical(encoded, target)
+        inject_spherical(encoded, target, stereo_mode)
     finally:
         encoded.unlink(missing_ok=True)
 

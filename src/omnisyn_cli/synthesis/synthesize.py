@@ -29,6 +29,8 @@ def synthesize(
     method: Method,
     out: FrameAllocator | None = None,
     on_pair: Callable[[int, Pair], None] | None = None,
+    *,
+    photographs: bool = True,
 ) -> Iterator[Frame]:
     """All frames of a path, in order: the photographs themselves where they were taken, between them the method's.
 
@@ -38,12 +40,13 @@ def synthesize(
         method: makes the frames between photographs.
         out: gives memory for frames that are wanted rounded to 8 bits; where nothing stands against it they are
             rounded as they are made. Photographs shown unchanged are not.
+        photographs: show these themselves where they were taken; else frames are made there as well.
         on_pair: called with the index of its first view and each pair, before the first frame between the two.
     """
     pair: Pair | None = None
     current = -1
     for waypoint in path:
-        photograph = _photograph_at(views, waypoint, method, out)
+        photograph = _photograph_at(views, waypoint, method, out) if photographs else None
         if photograph is not None:
             yield photograph
             continue
