@@ -142,7 +142,7 @@ def test_exit_codes_are_said_by_every_command_and_by_the_documents(omnisyn: Omni
         assert EXIT_CODES_LINE in " ".join(omnisyn.quiet(*words, "--help").out.split()), words
     table = (Path(__file__).parents[2] / "docs" / "stability.md").read_text(encoding="utf-8")
     for code, meaning in EXIT_CODES.items():
-        assert f"| {code} | {meaning} |" in table
+        assert f"- **{code} {meaning}**: " in table
 
 
 def test_wrong_usage_is_json_for_whoever_wants_json(omnisyn: Omnisyn) -> None:

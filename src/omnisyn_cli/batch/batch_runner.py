@@ -211,7 +211,7 @@ def _without_folders(value: Any, output: Path, inputs: Path) -> Any:
         return [_without_folders(item, output, inputs) for item in value]
     if not isinstance(value, str):
         return value
-    attempt = rf"{re.escape(STAGING_DIR)}[/\\]{re.escape(TEMPORARY_PREFIX)}[0-9a-f]+[/\\]"
+    attempt = rf"{re.escape(STAGING_DIR)}[/\\]{re.escape(TEMPORARY_PREFIX)}[0-9a-f-]+[/\\]"
     made, given = (re.escape(f"{folder}{os.sep}") for folder in (output.absolute(), inputs))
     return re.sub(f"(?:{made}(?:{attempt})?|{given})", "", value)
 

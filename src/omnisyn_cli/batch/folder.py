@@ -8,7 +8,6 @@ import os
 import re
 import secrets
 import shutil
-import sys
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,17 +18,8 @@ from typing import Any, Self
 from omnisyn_cli.batch.manifest import RECORDS, STAGING_DIR
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
+from omnisyn_cli.io.locks import lock
 from omnisyn_cli.io.outputs import check_folder, check_kept, temporary_name, write_errors
-
-if sys.platform == "win32":  # pragma: no cover
-
-    def _lock(descriptor: int) -> None:
-        """No lock; two runs in one folder are not noticed."""
-else:
-    import fcntl
-
-    def _lock(descriptor: int) -> None:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def recorded_outputs(path: Path) -> set[str]:
@@ -90,7 +80,7 @@ class Records:
 
     def _claim(self) -> None:
         try:
-            _lock(self._file.fileno())
+            lock(self._file.fileno())
         except OSError as error:
             raise OutputPathError(
                 f"{self._path}: expected a folder that no other batch works in, got one in use; wait for its end"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from omnisyn_cli.cli.memory import memory_note
+from omnisyn_cli.cli.machine import leftover_notes, memory_notes
 from omnisyn_cli.cli.options import print_plan
 from omnisyn_cli.cli.progress import say_when_compiling, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
@@ -48,15 +49,16 @@ def run_job(
         listen: is told about kernels that are compiled.
     """
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
+    from omnisyn_cli.io.locks import claimed
 
-    with shown_stages(is_quiet=quiet) as stages:
+    with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")
         plan = plan_of(job)
         for note in plan.notes:
             stages.note(f"note: {note}")
         values = {**plan.describe(), **expected(plan)}
-        if note := memory_note(values["memory_mib"] * 2**20):
+        for note in (*memory_notes(values["memory_mib"] * 2**20), *leftover_notes(job.output)):
             stages.note(f"note: {note}")
         if dry_run:
             if as_json or not quiet:

@@ -215,7 +215,8 @@ def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> t
     if job.projection == "flat":
         return FLAT_SIZE
     rows = max(sources)[0]
-    limit = None if is_sequence(job.output) else CODECS[job.codec or "h264"].player_rows
+    codec = CODECS.get(job.codec or "h264")  # none for images, which check_outputs refuses for a video
+    limit = None if is_sequence(job.output) or codec is None else codec.player_rows
     if job.stereo != "mono" and limit is not None:  # both eyes have the pixels of one
         limit = limit * 45 // 64
     rows = rows + rows % 2 if limit is None else min(rows + rows % 2, limit)

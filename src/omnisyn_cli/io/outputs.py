@@ -1,6 +1,9 @@
 """Where files go: checks before any work begins, and writing that is seen whole or not at all."""
 
+import hashlib
 import os
+import platform
+import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
@@ -10,6 +13,8 @@ from pathlib import Path
 from omnisyn_cli.errors import OutputPathError, WriteError
 
 __all__ = [
+    "abandoned",
+    "appears_at_once",
     "check_empty_folder",
     "check_folder",
     "check_kept",
@@ -28,6 +33,12 @@ __all__ = [
 
 TEMPORARY_PREFIX = ".omnisyn-"
 """Of names that are not final yet."""
+
+TEMPORARY_NAME = re.compile(re.escape(TEMPORARY_PREFIX) + r"([0-9a-f]{6})-(\d+)-[0-9a-f]{8}(\.\w+)?")
+"""The machine, the process, and chance."""
+
+MACHINE_DIGEST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+"""Of this machine: processes of others, which may see the same folder, are not asked about."""
 
 
 def real_path(path: Path) -> Path:
@@ -94,7 +105,31 @@ def check_folder(folder: Path) -> None:
 
 def temporary_name(folder: Path, suffix: str = "") -> Path:
     """A new hidden name inside ``folder``; nothing is created."""
-    return folder / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}{suffix}"
+    return folder / f"{TEMPORARY_PREFIX}{MACHINE_DIGEST}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
+
+
+def abandoned(folder: Path) -> list[Path]:
+    """What runs that were killed have left in a folder: under names of this machine's processes that have ended."""
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError:
+        return []
+    found = ((name, TEMPORARY_NAME.fullmatch(name)) for name in names)
+    return [
+        folder / name for name, match in found if match and match[1] == MACHINE_DIGEST and _has_ended(int(match[2]))
+    ]
+
+
+def _has_ended(process: int) -> bool:
+    if os.name != "posix":
+        return False  # asking would be a signal there
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return False
 
 
 @contextmanager
@@ -140,7 +175,7 @@ def check_staged_folder(folder: Path) -> None:
 def check_empty_folder(folder: Path, overwrite: bool) -> None:
     """Refuse (OutputPathError) what is no folder of its own for new files, unless others of their names may go."""
     check_staged_folder(folder)
-    if not overwrite and folder.is_dir() and any(folder.iterdir()):
+    if not overwrite and folder.is_dir() and set(folder.iterdir()) - set(abandoned(folder)):
         raise OutputPathError(
             f"{folder}: expected a new or empty folder, got files in it; choose another (--overwrite)"
         )
@@ -160,12 +195,23 @@ def hidden_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def appears_at_once(temporary: Path, folder: Path) -> bool:
+    """Give a hidden folder its final name; False where there is something of that name already."""
+    if folder.exists() or folder.is_symlink():
+        return False
+    try:
+        temporary.rename(folder)
+    except OSError:  # which the slower way reports
+        return False
+    return True
+
+
 @contextmanager
 def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """Give a hidden folder to write into; its content moves into ``folder`` at the end, and is gone after any failure.
 
-    The folder need not exist; its parent must. Folders in it are made, or added to. With ``overwrite`` files of the
-    same names are replaced, those included that appeared during the work.
+    The folder need not exist; its parent must. A new folder appears with all that is in it at once. Folders in it are
+    made, or added to. With ``overwrite`` files of the same names are replaced, those included that appeared meanwhile.
 
     Raises:
         OutputPathError: there is a file of one of the names, and ``overwrite`` is off.
@@ -173,6 +219,8 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """
     with hidden_folder(folder) as temporary:
         yield temporary
+        if appears_at_once(temporary, folder):
+            return
         with write_errors(folder):
             folder.mkdir(exist_ok=True)
             files = sorted(file for file in temporary.rglob("*") if file.is_file())

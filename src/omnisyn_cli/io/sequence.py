@@ -11,7 +11,7 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
-from omnisyn_cli.io.outputs import check_staged_folder, hidden_folder, write_errors
+from omnisyn_cli.io.outputs import appears_at_once, check_staged_folder, hidden_folder, write_errors
 
 __all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_sequence"]
 
@@ -132,6 +132,8 @@ def open_sequence(
         if writer.frame_count == 0:
             raise EncodingError(f"{folder}: expected a frame to write, got none; check the trajectory")
         check_sequence(sequence, overwrite)  # somebody else may have made frames in the meantime
+        if appears_at_once(temporary, folder):
+            return
         with write_errors(folder):
             folder.mkdir(exist_ok=True)
             for frame in sorted(temporary.iterdir()):

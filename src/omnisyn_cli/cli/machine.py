@@ -1,6 +1,8 @@
-"""How much memory this process may have, so that what will not fit is said before the work and not after it."""
+"""What there is to say about the machine before the work: memory that is short, and what killed runs have left."""
 
 import os
+import shlex
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,12 +12,12 @@ CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 """Where Linux says what a container may have: bytes, or ``max``."""
 
 
-def memory_note(expected: float) -> str | None:
+def memory_notes(expected: float) -> Iterator[str]:
     """What there is to say if ``expected`` bytes are more than this process may have."""
     limit = memory_limit()
     if limit is None or expected <= limit:
-        return None
-    return (
+        return
+    yield (
         f"expected {expected / BYTES_PER_GB:.1f} GB of memory, got a limit of {limit / BYTES_PER_GB:.1f}; the system "
         "may end this program: take a smaller --size or fewer --threads"
     )
@@ -37,3 +39,13 @@ def memory_limit() -> int | None:
     with suppress(AttributeError, OSError, ValueError):
         limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     return min(limits, default=None)
+
+
+def leftover_notes(output: Path) -> Iterator[str]:
+    """What runs that were killed have left where an output goes, and how to remove it."""
+    from omnisyn_cli.io.outputs import abandoned
+
+    found = [*abandoned(output.parent), *abandoned(output)]
+    if found:
+        names = " ".join(shlex.quote(str(path)) for path in found)
+        yield f"runs that were killed have left hidden files; nothing needs them, remove them with: rm -r {names}"
