@@ -80,3 +80,19 @@ def test_shells_complete_commands(shell: str) -> None:
                    "COMP_CWORD": "inter" if shell == "fish" else "1"}  # fmt: skip
     done = subprocess.run([sys.executable, "-m", "omnisyn_cli"], env=environment, capture_output=True, text=True)
     assert "interpolate" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "seconds"), [(["--help"], 0.15), (["interpolate", "--dry-run"], 0.6)])
+def test_help_and_plans_take_little_computing(tmp_path: Path, words: list[str], seconds: float) -> None:
+    """The least of some runs: a busy machine makes every one of them slower."""
+    images = write_pair(tmp_path) if len(words) > 1 else []
+    command = [sys.executable, "-m", "omnisyn_cli", *words, *map(str, images)]
+
+    def computing() -> float:
+        before = os.times()
+        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+        after = os.times()
+        return sum(after[2:4]) - sum(before[2:4])
+
+    assert min(computing() for _ in range(5)) < seconds

@@ -1,6 +1,7 @@
 """How far a command is: its plan in a sentence, a line or a bar for each stage, and at the end what to think of it."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -72,10 +73,12 @@ def test_for_bad_ones_there_is_the_weakest_place_and_what_to_try(
     image = np.random.default_rng(0).integers(0, 255, (64, 128, 3), np.uint8)
     write_image(pair[1], image)
     edit_poses(tmp_path, lambda panoramas: panoramas["b.png"].update(position=[0, 0, -3]))
-    _, verdict, advice = omnisyn.made(*pair_arguments(tmp_path, pair, "o.mp4", "--fps", 1)).out.splitlines()
+    _, verdict, advice, command = omnisyn.made(*pair_arguments(tmp_path, pair, "o.mp4", "--fps", 1)).out.splitlines()
     assert verdict.startswith("confidence: very low (0.")
     assert advice.startswith("to try: ")
     assert "panoramas closer together, --fallback crossfade (docs/confidence.md)" in advice
+    files = shlex.join(map(str, [*pair, tmp_path / "poses.json"]))
+    assert command == f"to see why: omnisyn info {files} --report report.html"
 
 
 @pytest.mark.parametrize(

@@ -59,9 +59,10 @@ def _described(plan: TourPlan, pair: PairSurfaces, score: PairConfidence, diagno
     views = [surface.view for surface in pair.surfaces]
     kinds = _kinds(diagnosis)
     matched = (diagnosis.matches.first, diagnosis.matches.second)
+    verdict = list(TourSummary(plan, {}, {pair.index: score}).lines())[:2]  # the next one leads to this page
     return {
         "title": f"{diagnosis.first.name} and {diagnosis.second.name}",
-        "lines": [*TourSummary(plan, {}, {pair.index: score}).lines(), *diagnosis_sentences(diagnosis.diagnosis)],
+        "lines": [*verdict, *diagnosis_sentences(diagnosis.diagnosis)],
         "views": [
             {
                 "name": plan.job.images[surface.index].name,

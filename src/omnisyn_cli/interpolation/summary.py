@@ -1,6 +1,7 @@
 """What was done: how long it took, and how far it can be relied on, in figures and in words."""
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
 from omnisyn_cli.geometry.pose import interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_to_angles
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 
 __all__ = ["Summary", "TourSummary"]
@@ -116,7 +118,7 @@ class TourSummary:
         return {**self.plan.describe(), **self.results, "stages": stages, "confidence": self.confidence}
 
     def lines(self) -> Iterator[str]:
-        """For people: how far the worst pair can be relied on, where it is weakest, and what to try."""
+        """For people: how far the worst pair can be relied on, where it is weakest, what to try, and how to see why."""
         if not self.pairs:
             return
         index = min(self.pairs, key=lambda each: self.pairs[each].score)
@@ -126,6 +128,10 @@ class TourSummary:
         yield f"confidence: {word} ({worst.score:.2f}), weakest {self.place(index, weakest)}"
         if word != CONFIDENCE_WORDS[0][1]:
             yield f"to try: {', '.join(self._remedies(worst))} ({CONFIDENCE_PAGE})"
+            job = self.plan.job
+            poses = [] if job.poses == POSES_FROM_PICTURES else [job.poses]
+            words = ["omnisyn", "info", *map(str, [*job.images, *poses]), "--report", "report.html"]
+            yield f"to see why: {shlex.join(words)}"
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """Where that is, in words, for a direction half way between the panoramas of a pair."""

@@ -57,7 +57,7 @@ THREAD_SCALING_EXPONENT = 0.75
 MIN_WORK_SECONDS = 0.5
 """Of work, below which a run says nothing about the pace."""
 
-PROBE_REPEATS = 7
+PROBE_REPEATS = 4
 
 MIN_CORES = 0.9
 """A run that nothing disturbs keeps at least about one core busy."""
