@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 SECTIONS: Mapping[str, str] = {
-    "Input": "poses baseline refine masks nadir allow_outside allow_aspect upper_half hfov vfov horizon "
+    "Input": "every poses baseline refine masks nadir allow_outside allow_aspect upper_half hfov vfov horizon "
     "view_transform max_pixels",
     "Output": "output frames duration fps size format view views stereo codec crf encoder_preset texture lossless "
     "folder serve is_opened stride sky dome save_depth save_confidence save_frames overwrite",

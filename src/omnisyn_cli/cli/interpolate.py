@@ -27,9 +27,19 @@ from omnisyn_cli.cli.options import (
     threads_option,
     tour_options,
 )
-from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
+from omnisyn_cli.cli.parameters import (
+    DegreeRange,
+    FilePath,
+    FiniteRange,
+    FramePlace,
+    FrameRate,
+    Seconds,
+    Size,
+    WholeRange,
+)
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import FALLBACKS
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
@@ -46,6 +56,10 @@ if TYPE_CHECKING:
     "-o", "--output", type=FramePlace(),
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.  [default: FOLDER.mp4 or A-C.mp4, "
     "here]",
+)  # fmt: skip
+@click.option(
+    "--every", metavar="SECONDS", type=Seconds(0, min_open=True),
+    help="Take panoramas from a 360° video, one every so many seconds; their poses are found in the pictures.",
 )  # fmt: skip
 @click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Length in seconds.  [default: 3 per pair]")
@@ -152,7 +166,7 @@ if TYPE_CHECKING:
 @quiet_option
 def interpolate(
     *, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
-    nadir: float, views: tuple[Path, ...], **options: Any,
+    nadir: float, views: tuple[Path, ...], every: float | None, **options: Any,
 ) -> None:  # fmt: skip
     """Make a 360° video from panorama A to B, and on through C and more.
 
@@ -160,6 +174,7 @@ def interpolate(
     omnisyn interpolate a.jpg b.jpg --poses auto --baseline 1.4
     omnisyn interpolate tour/ -o walk.mp4 --ease smooth --size 4096x2048
     omnisyn interpolate a.jpg b.jpg c.jpg -o frames/ --frames 12
+    omnisyn interpolate walk.mp4 --every 2s
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
     it, in the order of their names.
@@ -175,6 +190,7 @@ def interpolate(
 
     check_one_cut(options)
     options |= _views(views)
+    options |= _frames_of_video(options, every)
     if budget is not None:
         _check_budget_decides(options["method"])
     given = named(options, lambda: video_ending(options["codec"]))
@@ -215,6 +231,25 @@ def _views(given: tuple[Path, ...]) -> dict[str, Any]:
         raise click.UsageError(f"expected one page (--view FILE), got {len(pages)}; leave out all but one")
     projection = "equirectangular" if len(pages) == len(given) else "flat"
     return {"view": pages[0] if pages else None, "projection": projection}
+
+
+def _frames_of_video(options: dict[str, Any], every: float | None) -> dict[str, Any]:
+    """Panoramas, poses and output where one video is given; its frames are there as long as the command runs."""
+    from omnisyn_cli.interpolation.inputs import video_ending
+    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.io.video_frames import VIDEO_SUFFIXES, frames_of_video
+
+    video, *others = options["images"]
+    is_video = not others and video.suffix.lower() in VIDEO_SUFFIXES
+    if is_video == (every is None):
+        found, remedy = (f"the video {video}", "add --every 2s") if is_video else ("others", "leave --every out")
+        raise InputError(f"expected one video for --every, or panoramas without it, got {found}; {remedy}")
+    if every is None:
+        return {}
+    output = options["output"] or Path(f"{video.stem}-tour{video_ending(options['codec'])}")
+    check_kept([output], [video])
+    frames = click.get_current_context().with_resource(frames_of_video(video, every))
+    return {"images": frames, "poses": options["poses"] or Path("auto"), "output": output}
 
 
 def _load() -> Callable[..., Summary]:

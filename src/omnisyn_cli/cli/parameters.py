@@ -32,6 +32,16 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class Seconds(FiniteRange):
+    """Seconds as a number, or with an s behind it."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The seconds."""
+        return super().convert(value.removesuffix("s") if isinstance(value, str) else value, param, ctx)
+
+
 class DegreeRange(FiniteRange):
     """Degrees on the command line, radians in the program."""
 
