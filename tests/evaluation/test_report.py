@@ -6,6 +6,7 @@ import io
 import json
 import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -134,11 +135,26 @@ def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path):
     for lines in tables:
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
     assert r"| street | 28.00 t0\.50.png |" not in text
-    assert "| matching | 24.00 |" in text, "it lacks the frames of the scene a|b"
-    write_report(tmp_path, some_records())
+    assert "| matching | 24.00 ± 2.00 |" in text, "it lacks the frames of the scene a|b"
+    records = [replace(record, scene=f"{record.scene}-{k}") for record in some_records() for k in range(3)]
+    write_report(tmp_path, records)
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "| matching | **24.00** |" in text
-    assert "| oracle-depth (upper bound) | 32.00 |" in text
+    assert "| matching | **24.00 ± 0.89** |" in text
+    assert "| oracle-depth (upper bound) | 32.00 ± 0.00 |" in text
+
+
+def test_a_report_says_what_it_is_about(tmp_path):
+    write_report(tmp_path, some_records(), {"data set": "scenes/<b>", "command": "omnisyn eval 'scenes/<b>'"})
+    about = strict(tmp_path / "report.json")["about"]
+    assert about["scenes"] == "2, with 2 pairs and 6 frames"
+    assert about["sizes"] == "64x32"
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", about["date"])
+    markdown = (tmp_path / "report.md").read_text(encoding="utf-8")
+    page = Document((tmp_path / "report.html").read_text(encoding="utf-8"))
+    shown = " ".join(" ".join(page.text).split())
+    for name, value in about.items():
+        assert f"- {name}: " in markdown
+        assert " ".join(value.split()) in shown
 
 
 def test_the_csv_file_has_every_figure_once(tmp_path):

@@ -1,13 +1,14 @@
 """Tables against means computed by hand, and who is called the best."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from report_samples import absent, depth, frame, some_records, unit
 
 from omnisyn_cli.evaluation.grouping import distance_band, gaps, is_oracle, pair_names, ranked_methods, time_band
-from omnisyn_cli.evaluation.tables import Table, format_value, mean_table, report_tables
+from omnisyn_cli.evaluation.tables import Table, format_cell, format_value, mean_table, report_tables
 
 
 def table(title: str, records=None) -> Table:
@@ -17,6 +18,11 @@ def table(title: str, records=None) -> Table:
 def figures(shown: Table) -> dict[str, dict[str, float]]:
     titles = [column.title for column in shown.columns]
     return {row.name: dict(zip(titles, (c.value for c in row.cells), strict=True)) for row in shown.rows if row.cells}
+
+
+def in_scenes(records, scenes: str = "abc"):
+    """The same records in several scenes, so that there is something to tell chance by."""
+    return [replace(record, scene=f"{record.scene}-{scene}") for scene in scenes for record in records]
 
 
 def best(shown: Table) -> set[tuple[str, str]]:
@@ -81,28 +87,50 @@ def test_a_method_that_measured_nothing_is_listed_with_its_reasons():
 
 def test_the_best_is_marked_in_the_direction_of_the_column():
     quick = {"fuse": 1.0, "total": 1.0}
-    records = [
+    records = in_scenes([
         unit("hall", "one", (20.0,), seconds=quick, depths=(depth("a", 0.2),)),
         unit("hall", "two", (30.0,), depths=(depth("a", 0.1),)),
-    ]
-    assert {("two", "WS-PSNR, dB"), ("two", "PSNR, dB")} <= best(table("Means per method", records))
-    assert ("one", "LRCE") in best(table("Means per method", records)), "equal ones are both the best"
-    assert ("two", "LRCE") in best(table("Means per method", records))
+    ])  # fmt: skip
+    assert best(table("Means per method", records)) == {("two", "WS-PSNR, dB"), ("two", "PSNR, dB")}, "equal: no best"
     depths = best(table("Depth, every pixel counts alike", records))
     assert {("two", "IMAE, 1/m"), ("two", "δ < 1.05")} <= depths
     assert not any(name == "one" for name, _ in depths)
     assert best(table("Seconds per pair", records)) == {("one", "Total")}
-    assert best(table("Scenes", records)) == {("hall", "two")}
+    assert not best(table("Scenes", records)), "one scene says nothing about chance"
+
+
+def test_the_best_is_marked_only_where_chance_does_not_explain_it():
+    """A tenth of a decibel over two frames is nothing; a tenth in each of six scenes is something."""
+    few = [unit("a", "one", (20.0, 22.0)), unit("a", "two", (20.1, 22.1))]
+    assert not best(table("Means per method", few))
+    assert math.isnan(table("Means per method", few).rows[0].cells[0].error)
+    steady = [unit(s, m, (20.0 + k + more,)) for k, s in enumerate("abcdef") for m, more in (("one", 0), ("two", 0.1))]
+    assert ("two", "WS-PSNR, dB") in best(table("Means per method", steady))
+    noise = (0.4, -0.3, 0.5, -0.2, 0.3, -0.1)
+    noisy = [unit(s, m, (20.0 + (m == "two") * noise[k],)) for k, s in enumerate("abcdef") for m in ("one", "two")]
+    assert not best(table("Means per method", noisy))
+    third = [*noisy, *(unit(s, "bad", (10.0,)) for s in "abcdef")]
+    assert {name for name, column in best(table("Means per method", third)) if "WS" in column} == {"one", "two"}
+
+
+def test_the_standard_error_is_over_scenes_and_over_pairs_of_a_single_one():
+    """Frames of one scene are alike: ten of them say no more about others than one does."""
+    scores = {"a": 20.0, "b": 24.0, "c": 25.0}
+    records = [unit(scene, "m", (score,) * 10) for scene, score in scores.items()]
+    cell = table("Means per method", records).rows[0].cells[0]
+    assert cell.error == pytest.approx(np.std(list(scores.values()), ddof=1) / math.sqrt(3))
+    assert format_cell(cell, 2) == "23.00 ± 1.53"
+    pairs = [replace(record, scene="tour", first=record.scene) for record in records]
+    assert table("Means per method", pairs).rows[0].cells[0].error == pytest.approx(cell.error)
 
 
 def test_who_is_told_the_truth_or_measured_less_is_not_called_the_best():
-    shown = table("Means per method")
-    assert {name for name, _ in best(shown)} == {"matching", "crossfade"}
+    shown = table("Means per method", in_scenes(some_records()))
+    assert {name for name, _ in best(shown)} == {"matching"}
     assert ("matching", "WS-PSNR, dB") in best(shown)
-    lazy = [unit("a", "lazy", (40.0,)), *(unit(s, m) for s in "abc" for m in ("one", "two"))]
-    assert not any(name == "lazy" for name, _ in best(table("Means per method", lazy)))
-    assert {"one", "two"} == {name for name, _ in best(table("Means per method", lazy))}
-    assert best(table("Scenes", lazy)) == {(scene, method) for scene in "abc" for method in ("one", "two")}
+    both = [unit(s, m, (score,) * 3) for s in "abc" for m, score in (("one", 20.0), ("two", 30.0))]
+    lazy = [unit("a", "lazy", (40.0,)), *both]
+    assert {"two"} == {name for name, _ in best(table("Means per method", lazy))}
     assert is_oracle("oracle-depth:metres=2")
     assert not is_oracle("oracle")
 
@@ -111,11 +139,11 @@ def test_who_lacks_one_frame_is_not_called_the_best_even_where_nobody_has_more()
     """One method failed on the one scene, another on the other: equal counts, but not of the same frames."""
     lucky = [unit("a", "lucky", (40.0, 40.0, 40.0)), unit("b", "unlucky", (10.0, 10.0, 10.0))]
     assert not best(table("Means per method", lucky))
-    both = [*lucky, *(unit(s, m, (score,) * 3) for s in "ab" for m, score in (("one", 20.0), ("two", 30.0)))]
+    both = [*lucky, *(unit(s, m, (score,) * 3) for s in "abc" for m, score in (("one", 20.0), ("two", 30.0)))]
     assert ("two", "WS-PSNR, dB") in best(table("Means per method", both))
     assert {name for name, column in best(table("Means per method", both)) if "PSNR" in column} == {"two"}
-    almost = [unit("a", "almost", (40.0, 40.0)), *(unit("a", m) for m in ("one", "two"))]
-    assert {name for name, _ in best(table("Means per method", almost))} == {"one", "two"}
+    almost = [unit("a", "almost", (40.0, 40.0)), *both]
+    assert {name for name, column in best(table("Means per method", almost)) if "PSNR" in column} == {"two"}
 
 
 def test_a_single_method_is_not_compared_with_anything():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -85,10 +86,13 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     (both views agree, they disagree, one view only, hole, beside silhouettes), depth confidence, changes between
     frames, and flying pixels.
     """  # noqa: D301 - click's \b is a backspace
+    import shlex
+
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 
     with working_folder(report, "eval", is_quiet=quiet) as folder:
-        job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
+        command = shlex.join(["omnisyn", *sys.argv[1:]])
+        job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, command=command, **options)
         plan = plan_evaluation(job)
         if not quiet:
             say(f"note: {_about_results(report)}", err=True)
@@ -139,18 +143,18 @@ def print_table(shown: Table, title: str | None = None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from omnisyn_cli.evaluation.tables import format_value
+    from omnisyn_cli.evaluation.tables import ERROR_NOTE, format_cell
 
     table = Table(title=title, box=box.SIMPLE, title_justify="left")
     table.add_column(shown.corner, no_wrap=True)
     for column in shown.columns:
         table.add_column(column.title, justify="right")
     for row in shown.rows:
-        cells = [
-            format_value(cell.value, column.digits) for cell, column in zip(row.cells, shown.columns, strict=False)
-        ]
+        cells = [format_cell(cell, column.digits) for cell, column in zip(row.cells, shown.columns, strict=False)]
         table.add_row(printable(f"{row.name} (upper bound)" if row.is_bound else row.name), *cells)
     Console(width=None if sys.stdout.isatty() else TABLE_COLUMNS, markup=False).print(table)
+    if any(not math.isnan(cell.error) for row in shown.rows for cell in row.cells):
+        say(ERROR_NOTE.partition(". ")[0])
     for row in shown.rows:
         if not row.cells:
             say(f"{row.name}: {row.reason}")

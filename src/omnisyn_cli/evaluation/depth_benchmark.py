@@ -24,7 +24,7 @@ from omnisyn_cli.evaluation.grouping import gaps
 from omnisyn_cli.evaluation.measure import depth_records
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.results import UnitRecord
-from omnisyn_cli.evaluation.tables import Row, Table, depth_table, render_markdown
+from omnisyn_cli.evaluation.tables import Row, Table, about_units, depth_table, render_markdown
 from omnisyn_cli.io.outputs import replaced_when_complete
 from omnisyn_cli.pipeline.config import DepthSource
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -240,7 +240,7 @@ def write_depth_tables(folder: Path, records: Sequence[UnitRecord]) -> Path:
     """Write the tables as Markdown into a folder that exists; WriteError where that fails."""
     path = folder / TABLE_NAME
     failed = [record for record in records if record.status == "failed"]
-    text = render_markdown(depth_tables(records), gaps(failed), omnisyn_cli.__version__)
+    text = render_markdown(depth_tables(records), gaps(failed), about_units(records))
     with replaced_when_complete(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path

@@ -67,6 +67,7 @@ class EvaluationJob:
         allow_outside: accept depth and masks that ``poses.json`` names outside of its folder.
         tours: compare methods that look for depth with themselves in tours; every second frame is an input then,
             unless ``pairs`` says otherwise.
+        command: that asked for all this, as the report says.
     """
 
     dataset: Path
@@ -81,6 +82,7 @@ class EvaluationJob:
     threads: int | None = None
     allow_outside: bool = False
     tours: bool = False
+    command: str = "from Python"
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | 
             records.append(record)  # noqa: PERF402 - an interruption leaves those that are finished
     finally:
         if records:
-            write_report(plan.job.report, records)
+            write_report(plan.job.report, records, {"data set": str(plan.job.dataset), "command": plan.job.command})
     return records
 
 

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -21,7 +22,16 @@ from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.grouping import figures_of, finished, gaps, pair_names, ranked_methods
 from omnisyn_cli.evaluation.plots import PLOT_TITLES, report_plots
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord, json_values, latest_records
-from omnisyn_cli.evaluation.tables import Table, data_uri, format_value, render_markdown, render_page, report_tables
+from omnisyn_cli.evaluation.tables import (
+    ERROR_NOTE,
+    Table,
+    about_units,
+    data_uri,
+    format_value,
+    render_markdown,
+    render_page,
+    report_tables,
+)
 from omnisyn_cli.evaluation.visualization import ERROR_SCALE
 from omnisyn_cli.io.outputs import real_path, staged_folder, write_errors
 
@@ -54,24 +64,25 @@ Sections = dict[str, dict[str, Pictures]]
 """By method or panorama, then by a title, which may be empty."""
 
 
-def write_report(folder: Path, records: Iterable[UnitRecord]) -> None:
+def write_report(folder: Path, records: Iterable[UnitRecord], about: Mapping[str, str] = MappingProxyType({})) -> None:
     """Write ``report.html``, ``report.md``, ``report.json``, ``report.csv`` and the diagrams as PNG files.
 
     Files of an earlier report are replaced all together at the end. Of several records of one unit the last one counts.
-    Pictures that the records name lie in ``folder``, whose parent exists. WriteError: the disk is full, or the folder
-    went away.
+    ``about`` says what was asked for, such as the data set and the command. Pictures that the records name lie in
+    ``folder``, whose parent exists. WriteError: the disk is full, or the folder went away.
     """
     units = latest_records(records)
+    about = {**about, **about_units(units)}
     tables, plots = report_tables(units), report_plots(units)
     page = render_page(
-        "report.html.j2", version=__version__, counts=Counter(unit.status for unit in units), tables=tables,
-        gaps=gaps(units), plots=plots, titles=PLOT_TITLES, frames=frame_sections(folder, units),
+        "report.html.j2", about=about, error_note=ERROR_NOTE, counts=Counter(unit.status for unit in units),
+        tables=tables, gaps=gaps(units), plots=plots, titles=PLOT_TITLES, frames=frame_sections(folder, units),
         depths=depth_sections(folder, units), error_scale=ERROR_SCALE,
     )  # fmt: skip
     texts = {
         "html": page,
-        "md": render_markdown(tables, gaps(units), __version__),
-        "json": _json(units, tables),
+        "md": render_markdown(tables, gaps(units), about),
+        "json": _json(units, tables, about),
         "csv": _csv(units),
     }
     with staged_folder(folder) as staged, write_errors(folder):
@@ -81,10 +92,11 @@ def write_report(folder: Path, records: Iterable[UnitRecord]) -> None:
             (staged / f"{name}.png").write_bytes(data)
 
 
-def _json(units: Sequence[UnitRecord], tables: Sequence[Table]) -> str:
+def _json(units: Sequence[UnitRecord], tables: Sequence[Table], about: Mapping[str, str]) -> str:
     """Strict JSON: tables of means and all units; what is infinite or undefined is a string or null."""
     content = {
         "version": __version__,
+        "about": about,
         "tables": [asdict(table) for table in tables],
         "gaps": [asdict(gap) for gap in gaps(units)],
         "units": [asdict(unit) for unit in units],

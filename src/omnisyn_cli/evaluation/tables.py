@@ -1,12 +1,14 @@
 """The tables of a report: means by method, pair, share of the way and distance, with the best of them marked.
 
-A mean is over all frames (or panoramas, or pairs) that a method measured. A method that lacks one which another method
-measured is not called the best, since it may have been lucky with what it measured; tables show the numbers.
+A mean is over all frames (or panoramas, or pairs) that a method measured, with its standard error over scenes. Methods
+are called the best if none beats them by more than chance explains, and they beat another one. A method that lacks a
+frame which another method measured is not, since it may have been lucky with what it measured.
 """
 
 import base64
 import math
 import re
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +17,21 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from omnisyn_cli import __version__
 from omnisyn_cli.evaluation import grouping
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
+from omnisyn_cli.evaluation.uncertainty import Sample, standard_error, undominated
 
-__all__ = ["Table", "format_value", "mean_table", "report_tables", "tour_table"]
+__all__ = [
+    "ERROR_NOTE",
+    "Table",
+    "about_units",
+    "format_cell",
+    "format_value",
+    "mean_table",
+    "report_tables",
+    "tour_table",
+]
 
 
 @dataclass(frozen=True)
@@ -37,10 +50,11 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A mean over ``count`` values, NaN of none; or one value, with the ``name`` of what has it."""
+    """A mean over ``count`` values, NaN of none, with its standard error; or one value, and the name of what has it."""
 
     value: float
     count: int = 1
+    error: float = math.nan
     is_best: bool = False
     name: str = ""
 
@@ -137,13 +151,18 @@ KIND_TABLES = (
 )
 """Titles, what is said below them, figures and digits."""
 
+ERROR_NOTE = (
+    "± is the standard error over scenes, or over pairs of a single scene. Marked methods beat another one, and none "
+    "beats them, by more than chance explains (95 %, paired by frame)."
+)
+
 WORST_TABLES = (
     ("Worst frame of each pair", "The least WS-PSNR, dB, and the frame that has it.", "ws_psnr"),
     ("Worst change of each pair", "The least PSNR of the change from the frame before, dB.", "change_psnr"),
 )
 """Titles, what is said below them, scores."""
 
-PlacedValues = tuple[tuple[tuple[str, str, str], int], Mapping[str, float]]
+PlacedValues = tuple[tuple[str, str, str, int], Mapping[str, float]]
 """Values with their pair and their number there."""
 
 
@@ -284,9 +303,8 @@ def _method_table(
     every = [one for listed in placed.values() for one in listed]
     present = [key for key in columns if any(key in values for _, values in every)]
     marked = [
-        _mark_best(
-            [_cell(listed, key) for listed in placed.values()],
-            len({where for where, values in every if key in values}),
+        _cells(
+            [{where: values[key] for where, values in listed if key in values} for listed in placed.values()],
             [0 if grouping.is_oracle(method) else columns[key].better for method in placed],
         )
         for key in present
@@ -302,7 +320,7 @@ def _method_table(
 def _placed_values(records: Sequence[UnitRecord], method: str, subject: str, keys: Iterable[str]) -> list[PlacedValues]:
     """What a method measured of a subject, each with its pair and its number there, which are the same for all."""
     return [
-        ((record.pair, number), values)
+        ((*record.pair, number), values)
         for record in grouping.finished(records, method)
         for number, values in enumerate(values for about, values in grouping.figures_of(record) if about[0] == subject)
         if any(key in values for key in keys)
@@ -324,37 +342,33 @@ def _score_table(
                 groups[group(record, frame)].append((record.method, which, frame.scores["ws_psnr"]))
     rows = []
     for (_, name), listed in sorted(groups.items(), key=lambda item: item[0][0]):
-        scores = [[score for by, _, score in listed if by == method] for method in methods]
-        cells = [Cell(mean(values), len(values)) for values in scores]
-        rows.append(Row(name, _mark_best(cells, len({which for _, which, _ in listed}), better)))
+        samples = [{which: score for by, which, score in listed if by == method} for method in methods]
+        rows.append(Row(name, _cells(samples, better)))
     return Table(title, "Mean WS-PSNR, dB.", corner, tuple(Column(method, 1) for method in methods), tuple(rows))
 
 
-def _mark_best(cells: Sequence[Cell], every: int, better: Sequence[int]) -> tuple[Cell, ...]:
-    """The cells with the best of them marked, equal ones together.
-
-    Means over less than ``every`` value take no part, nor do cells of which neither more nor less is ``better``.
-    """
-    standings = [
-        sign * cell.value if cell.count == every > 0 and sign != 0 else math.nan
-        for cell, sign in zip(cells, better, strict=True)
+def _cells(samples: Sequence[Sample], better: Sequence[int]) -> tuple[Cell, ...]:
+    """Means with their errors, the best of them marked; those of which neither more nor less is better take no part."""
+    signed = [
+        {where: sign * value for where, value in sample.items()} if sign and sample else None
+        for sample, sign in zip(samples, better, strict=True)
     ]
-    compared = [standing for standing in standings if not math.isnan(standing)]
-    if len(compared) < 2:
-        return tuple(cells)
-    best = max(compared)
-    return tuple(replace(cell, is_best=standing == best) for cell, standing in zip(cells, standings, strict=True))
-
-
-def _cell(listed: Sequence[PlacedValues], key: str) -> Cell:
-    values = [values[key] for _, values in listed if key in values]
-    return Cell(mean(values), len(values))
+    return tuple(
+        Cell(mean(sample.values()), len(sample), standard_error(sample), is_best)
+        for sample, is_best in zip(samples, undominated(signed), strict=True)
+    )
 
 
 def _reasons(records: Sequence[UnitRecord], method: str) -> str:
     """Why a method measured nothing: each reason once, the most frequent first."""
     found = sorted((gap for gap in grouping.gaps(records) if gap.method == method), key=lambda gap: -len(gap.pairs))
     return "; ".join(f"{gap.status}: {gap.reason}" for gap in found) or "no frame between the panoramas"
+
+
+def format_cell(cell: Cell, digits: int) -> str:
+    """A figure with its standard error, if there is one."""
+    value = format_value(cell.value, digits)
+    return value if math.isnan(cell.error) else f"{value} ± {format_value(cell.error, digits)}"
 
 
 def format_value(value: float, digits: int) -> str:
@@ -367,15 +381,29 @@ def format_value(value: float, digits: int) -> str:
 MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
 
 
+def about_units(units: Sequence[UnitRecord]) -> dict[str, str]:
+    """What was measured and with what: scenes, pairs, frames and their sizes, the date and the version."""
+    measured = grouping.finished(units)
+    pairs = {unit.pair for unit in measured}
+    frames = {(*unit.pair, frame.name) for unit in measured for frame in unit.frames}
+    sizes = sorted({unit.size for unit in measured if unit.size is not None})
+    return {
+        "scenes": f"{len({scene for scene, *_ in pairs})}, with {len(pairs)} pairs and {len(frames)} frames",
+        "sizes": ", ".join(f"{width}x{height}" for height, width in sizes) or "none",
+        "date": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+        "version": f"omnisyn {__version__}",
+    }
+
+
 def render_page(template: str, **values: Any) -> str:
     """A page that needs nothing beside itself."""
     return _environment(autoescape=True).get_template(template).render(values)
 
 
-def render_markdown(tables: Sequence[Table], gaps: Sequence[grouping.Gap], version: str) -> str:
-    """All tables and what was not measured; the best figures are bold."""
+def render_markdown(tables: Sequence[Table], gaps: Sequence[grouping.Gap], about: Mapping[str, str]) -> str:
+    """What it is about, all tables and what was not measured; the best figures are bold."""
     template = _environment(finalize=_escaped).get_template("report.md.j2")
-    return template.render(tables=tables, gaps=gaps, version=version)
+    return template.render(tables=tables, gaps=gaps, about=about, error_note=ERROR_NOTE)
 
 
 def data_uri(data: bytes, kind: str) -> str:
@@ -392,7 +420,7 @@ def _environment(**options: Any) -> Environment:
         keep_trailing_newline=True,
         **options,
     )
-    environment.filters.update(figure=format_value, data_uri=data_uri)
+    environment.filters.update(figure=format_cell, data_uri=data_uri)
     return environment
 
 
