@@ -25,7 +25,8 @@ LAYERS = (
     {"io", "networks", "runtime", "scenes", "stereo", "render", "fusion"},
     {"types"},
     {"geometry"},
-    {"errors", "compute"},
+    {"compute"},
+    {"errors"},
 )
 """From the top to the bottom; what is in one set does not know each other."""
 
@@ -54,8 +55,8 @@ FILE_MODULES = (
 """The only ones that open files: io, the model loader, checkpoints and data sets, and the records of a batch."""
 
 LIGHT = {
-    "collections", "contextlib", "dataclasses", "functools", "gc", "importlib", "io", "json", "math", "os", "pathlib",
-    "shutil", "signal", "sys", "threading", "time", "types", "typing",
+    "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools", "json",
+    "math", "os", "pathlib", "shutil", "signal", "sys", "threading", "time", "types", "typing",
 }  # fmt: skip
 """Parts of the standard library that a command may import at its top."""
 

@@ -19,7 +19,7 @@ from omnisyn_cli import __version__
 from omnisyn_cli.cli.failures import EXIT_CODES_LINE, FAILED, failure_of
 from omnisyn_cli.cli.lazy import LazyGroup
 from omnisyn_cli.cli.signals import signals_raised
-from omnisyn_cli.cli.terminal import print_json, printable, say
+from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import WriteError
 
 __all__ = ["cli", "main"]
@@ -81,8 +81,11 @@ def _run(arguments: Sequence[str] | None) -> int:
     except click.exceptions.Exit as exit_request:
         return exit_request.exit_code
     except click.ClickException as error:
-        error.message = printable(error.message)
-        error.show()
+        shown = io.StringIO()
+        error.show(shown)
+        with suppress(OSError, WriteError):
+            for line in shown.getvalue().rstrip("\n").split("\n"):
+                say(line, err=True)
         return _failed(error.format_message(), error.exit_code, given, is_said=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing

@@ -6,8 +6,10 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.terminal import printable
+
 SECTIONS: Mapping[str, str] = {
-    "Input": "every poses baseline refine masks nadir allow_outside allow_aspect upper_half hfov vfov horizon "
+    "Input": "every poses baseline refine masks nadir nadir_fill allow_outside allow_aspect upper_half hfov vfov horizon "
     "view_transform max_pixels",
     "Output": "output frames duration fps size format view views stereo codec crf encoder_preset texture lossless "
     "folder serve is_opened stride sky dome save_depth save_confidence save_frames overwrite",
@@ -20,7 +22,7 @@ SECTIONS: Mapping[str, str] = {
 """Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last."""
 
 RARE_OPTIONS = (
-    "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform", "max_pixels",
+    "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform", "max_pixels",
     "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
     "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
     "method", "renderer", "fusion", "adaptive",
@@ -80,4 +82,4 @@ def unknown_command(context: click.Context, name: str, known: Iterable[str]) -> 
     if not near and "interpolate" in names and Path(name).exists():
         near = [f"interpolate {name}"]
     advice = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names)}"
-    context.fail(f"expected a command, got '{name}'; {advice}")
+    context.fail(f"expected a command, got '{printable(name)}'; {advice}")

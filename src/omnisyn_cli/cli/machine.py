@@ -1,7 +1,6 @@
 """What there is to say about the machine before the work: memory that is short, and what killed runs have left."""
 
 import os
-import shlex
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -43,6 +42,8 @@ def memory_limit() -> int | None:
 
 def leftover_notes(output: Path) -> Iterator[str]:
     """What runs that were killed have left where an output goes, and how to remove it."""
+    import shlex
+
     from omnisyn_cli.io.outputs import abandoned
 
     found = [*abandoned(output.parent), *abandoned(output)]

@@ -2,7 +2,9 @@
 
 import difflib
 import json
+import os
 import re
+import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Never, TypeVar
@@ -17,6 +19,7 @@ __all__ = [
     "listed",
     "parse_json",
     "problem_sentence",
+    "read_file_itself",
     "read_json",
     "read_text",
     "validated",
@@ -66,6 +69,18 @@ def read_text(
         raise error(f"{path}: expected {what}, got '{failure.strerror}'; check the name") from failure
     except ValueError as failure:
         raise error(f"{path}: expected UTF-8 text, got '{failure}'; save the file as UTF-8") from failure
+
+
+def read_file_itself(path: Path) -> bytes | None:
+    """What is in a file; None where there is none, or a link or something else in its place."""
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return None
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+    except OSError:
+        return None
+    with os.fdopen(descriptor, "rb") as file:
+        return file.read()
 
 
 def read_json(path: Path, what: str = "a readable file", largest: int = MAX_DOCUMENT_BYTES) -> Any:

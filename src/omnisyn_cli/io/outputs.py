@@ -13,6 +13,7 @@ from pathlib import Path
 from omnisyn_cli.errors import OutputPathError, WriteError
 
 __all__ = [
+    "TEMPORARY_PREFIX",
     "abandoned",
     "appears_at_once",
     "check_empty_folder",

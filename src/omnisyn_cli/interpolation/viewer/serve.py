@@ -1,14 +1,14 @@
 """A server for walks that are folders: of this machine, for this machine, and of nothing but the walk."""
 
-import os
 import re
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+
+from omnisyn_cli.io.documents import read_file_itself
 
 HOST = "127.0.0.1"
 
@@ -62,15 +62,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _content(self, name: str) -> bytes | None:
         """A file of the walk; None for every other name, and for links, which lead elsewhere."""
-        path = self._folder / name
-        try:
-            if not (WALK_FILE.fullmatch(name) and stat.S_ISREG(path.lstat().st_mode)):
-                return None
-            descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
-        except OSError:
-            return None
-        with os.fdopen(descriptor, "rb") as file:
-            return file.read()
+        return read_file_itself(self._folder / name) if WALK_FILE.fullmatch(name) else None
 
     def send_response(self, code: int, message: str | None = None) -> None:
         """The first line of an answer, without name and version of the program."""
