@@ -131,10 +131,10 @@ def _curve(tag: bytes) -> Curve:
 
 def _parametric(kind: int, numbers: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The five kinds as the last: ``(a·x + b)^g + e`` from d on, ``c·x + f`` below."""
-    g, a, b, c, d, e, f = (*numbers, *np.zeros(7 - len(numbers)))
+    g, a, b, c, d, e, f = np.pad(numbers, (0, 7 - len(numbers)))
     if kind == 0:
         a = 1.0
     if kind in (1, 2):
         e = f = c if kind == 2 else 0.0
         c, d = 0.0, -b / a
-    return np.where(x >= d, np.maximum(a * x + b, 0.0) ** g + e, c * x + f)
+    return np.asarray(np.where(x >= d, np.maximum(a * x + b, 0.0) ** g + e, c * x + f))

@@ -208,8 +208,8 @@ def _opened(path: Path, *, with_pixels: bool = False) -> Iterator[tuple[ImageHea
     check_is_file(path)
     if _is_heif(path):
         with png_of(path, with_pixels=with_pixels) as (png, (height, width)), _opened(png) as (header, reader):
-            size = {"height": height, "width": width, "full_height": height, "full_width": width}
-            yield replace(header, path=path, format=path.suffix.lower().lstrip("."), **size), reader
+            told = replace(header, path=path, format=path.suffix.lower().lstrip("."))
+            yield replace(told, height=height, width=width, full_height=height, full_width=width), reader
         return
     config = OpenImageIO.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1

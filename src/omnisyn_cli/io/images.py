@@ -142,7 +142,9 @@ def _check_layout(path: Path, colour: np.ndarray, placement: Placement, *, allow
     step = max(1, height // LAYOUT_ROWS)
     if placement.is_whole and allow_aspect and width == height:
         halves = [half[::step, ::step].astype(np.float64).ravel() for half in np.split(colour[: height // 2 * 2], 2)]
-        if halves[0].std() > 0 < halves[1].std() and np.corrcoef(halves)[0, 1] > MIN_STEREO_CORRELATION:
+        centred = [half - half.mean() for half in halves]
+        alike = float(centred[0] @ centred[1]) / (float(np.prod([np.linalg.norm(half) for half in centred])) or 1.0)
+        if alike > MIN_STEREO_CORRELATION:
             raise ImageError(
                 f"{path}: expected one picture of the sphere, got two that are alike, one above the other: this looks "
                 "like top-bottom stereo; use the upper half (--upper-half)"

@@ -232,11 +232,14 @@ def _image(source: _Bytes) -> tuple[int, Image]:
 def _text_model(folder: Path) -> Model:
     path, cameras = folder / IMAGES, folder / "cameras.txt"
     models = dict(_camera_models(cameras)) if cameras.is_file() else {}
-    rigs, frames = (
-        dict(read(_Words(f"{file}:{number}", line)) for number, line in data_lines(file)) if file.is_file() else {}
-        for file, read in ((folder / "rigs.txt", _rig), (folder / "frames.txt", _frame))
-    )
+    rigs, frames = (dict(_lines(folder / name, read)) for name, read in (("rigs.txt", _rig), ("frames.txt", _frame)))
     return Model(path, models, dict(_text_images(path)), rigs, frames)
+
+
+def _lines(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
+    """What a text has of a kind, a line each; nothing where there is no such file."""
+    for number, line in data_lines(path) if path.is_file() else ():
+        yield read(_Words(f"{path}:{number}", line))
 
 
 def _camera_models(path: Path) -> Iterator[tuple[int, str]]:

@@ -5,10 +5,14 @@ directions of the cameras seen in the pictures are laid on the track of the posi
 Where pictures tell nothing, the image centre is taken to look along the track.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +20,9 @@ from jaxtyping import Float
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, rotation_from_heading
 from omnisyn_cli.io.documents import listed
+
+if TYPE_CHECKING:
+    from omnisyn_cli.poses.registration.features import Features
 
 Rotations = dict[str, Float[np.ndarray, "3 3"]]
 
@@ -34,10 +41,11 @@ def rotations_by_neighbours(
 
     A panorama is left out where all were taken in one place and pictures tell nothing.
     """
+    features_of = lru_cache(maxsize=2)(_features)
     relative = {
-        pair: found
+        pair: pose
         for pair in pairwise(positions)
-        if not set(pair) <= set(known) and (found := _relative_pose(*(images[name] for name in pair))) is not None
+        if not set(pair) <= set(known) and (pose := _relative_pose(*(features_of(images[k]) for k in pair))) is not None
     }
     found = dict(known)
     _carry_on(found, relative)
@@ -52,8 +60,8 @@ def rotations_by_neighbours(
                 carried += list(group)
                 spread.append(error)
     left = [name for name in positions if name not in found]
-    travel = {name: turn for name in left if (turn := _along_track(name, positions)) is not None}
-    found |= {name: turn @ held[name] for name, turn in travel.items()}
+    travel = {name: way for name in left if (way := _along_track(name, positions)) is not None}
+    found |= {name: way @ held[name] for name, way in travel.items()}
     notes = []
     if carried:
         fits = f"; they fit the track of the positions within {math.degrees(max(spread)):.0f}°" if spread else ""
@@ -66,26 +74,33 @@ def rotations_by_neighbours(
     return {name: rotation for name, rotation in found.items() if name not in known}, notes
 
 
-def _relative_pose(first: Path | None, second: Path | None) -> Pose | None:
-    """Rotation and direction of the second camera in the frame of the first, if their pictures tell them."""
+def _features(path: Path | None) -> Features | None:
+    """What is distinctive in a panorama; None of a picture that is none."""
     # OpenCV takes a while to import and is needed only where headings are missing.
     from omnisyn_cli.io import read_panorama
-    from omnisyn_cli.poses.registration.features import find_features, match_features
+    from omnisyn_cli.poses.registration.features import find_features
+
+    try:
+        return None if path is None else find_features(read_panorama(path).image)
+    except ImageError:
+        return None
+
+
+def _relative_pose(first: Features | None, second: Features | None) -> Pose | None:
+    """Rotation and direction of the second camera in the frame of the first, if their pictures tell them."""
+    from omnisyn_cli.poses.registration.features import match_features
     from omnisyn_cli.poses.registration.robust import estimate_relative_pose
 
     if first is None or second is None:
         return None
-    try:
-        features = [find_features(read_panorama(path).image, None) for path in (first, second)]
-    except ImageError:
-        return None
-    estimate = estimate_relative_pose(match_features(*features))
+    estimate = estimate_relative_pose(match_features(first, second))
     return None if estimate is None else estimate.first_from_second
 
 
 def _carry_on(rotations: Rotations, relative: Mapping[tuple[str, str], Pose]) -> None:
     """Add the rotations of all that are compared, over any number of others, with one that has a rotation."""
-    for (first, second), pose in (*relative.items(), *reversed(relative.items())):
+    pairs = list(relative.items())
+    for (first, second), pose in (*pairs, *reversed(pairs)):
         if first in rotations and second not in rotations:
             rotations[second] = rotations[first] @ pose.rotation
         elif second in rotations and first not in rotations:
