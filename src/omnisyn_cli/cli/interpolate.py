@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,6 +117,7 @@ if TYPE_CHECKING:
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @masks_option
 @nadir_option
+@click.option("--nadir-fill", is_flag=True, help="Show ground instead of what is excluded at the ends of the way, too.")
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
     help="Where confidence is low: only warn, cross-fade the photographs in these regions, or fail.",
@@ -166,7 +166,7 @@ if TYPE_CHECKING:
 @quiet_option
 def interpolate(
     *, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
-    nadir: float, views: tuple[Path, ...], every: float | None, **options: Any,
+    views: tuple[Path, ...], every: float | None, **options: Any,
 ) -> None:  # fmt: skip
     """Make a 360° video from panorama A to B, and on through C and more.
 
@@ -190,6 +190,8 @@ def interpolate(
 
     check_one_cut(options)
     options |= _views(views)
+    if options["size"] is not None and options["projection"] != "flat":
+        Size().convert("{1}x{0}".format(*options["size"]), None, click.get_current_context())
     options |= _frames_of_video(options, every)
     if budget is not None:
         _check_budget_decides(options["method"])
@@ -207,7 +209,7 @@ def interpolate(
     compiled: list[str] = []
     begin = _processor_seconds()
     summary = run_job(
-        InterpolationJob(nadir=math.radians(nadir), **given), plan_of, _load,
+        InterpolationJob(**given), plan_of, _load,
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
         expected=_expected, frames=lambda plan: len(plan.path), listen=compiled.append,
     )  # fmt: skip
