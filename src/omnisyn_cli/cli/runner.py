@@ -75,7 +75,9 @@ def run_job(
         is_unsaid = quiet or stages.has_bars  # which say it themselves
         with say_when_compiling(is_quiet=is_unsaid, listen=listen), while_compiling(stages.compile):
             run = load()
-            with while_timing(stages.time):
+            from omnisyn_cli.interpolation.kernel_warm_up import compiling_beside
+
+            with while_timing(stages.time), compiling_beside(job.threads):
                 summary = run(plan, lambda done: stages.show("frames", done) if count and done > 1 else None)
     if not quiet:
         for warning in summary.warnings():

@@ -30,6 +30,7 @@ __all__ = [
     "fast_subkernel",
     "inlined",
     "inlined_contracting",
+    "is_on_disk",
     "kernel",
     "subkernel",
     "when_compiling",
@@ -90,6 +91,12 @@ class _Kernels(FunctionCache):  # type: ignore[misc]
 def are_kernels_kept() -> bool:
     """Whether there was a place on disk for the machine code of all kernels of the modules loaded by now."""
     return _Kept.everywhere
+
+
+def is_on_disk(compiled: Any) -> bool:
+    """Whether machine code of a kernel is kept for any types; also where there is no place for it."""
+    files = getattr(compiled._cache, "_cache_file", None)
+    return files is None or bool(files._load_index())
 
 
 def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool = True, **options: Any) -> Any:

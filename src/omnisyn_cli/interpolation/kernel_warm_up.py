@@ -1,0 +1,67 @@
+"""On the first run after an installation a second process compiles the kernels that draw, while depth is found.
+
+It makes a video of two tiny panoramas whose depth is known with this very program, so that nothing here has to know
+which kernels there are. Machine code is kept on disk; who comes to a kernel later finds it there.
+"""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from omnisyn_cli.compute.jit import is_on_disk
+from omnisyn_cli.compute.processes import safe_path
+from omnisyn_cli.compute.threads import available_threads
+from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
+from omnisyn_cli.render.raster_kernels import rasterize_blocks
+
+__all__ = ["compiling_beside"]
+
+TINY_SIZE = (32, 64)
+"""Rows and columns of its panoramas: enough for every stage, next to nothing to compute."""
+
+
+@contextmanager
+def compiling_beside(threads: int | None) -> Iterator[None]:
+    """Inside, another process compiles what this one needs later, if nothing is on disk and there is a core for it."""
+    if is_on_disk(rasterize_blocks) or min(threads or available_threads(), available_threads()) < 2:
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="omnisyn-kernels-", ignore_cleanup_errors=True) as name:
+        try:
+            process = _tiny_video(Path(name))
+        except (OSError, OmnisynError):  # no memory or no room: this process compiles everything itself
+            process = None
+        try:
+            yield
+        finally:
+            if process is not None:
+                process.kill()
+                process.wait()
+
+
+def _tiny_video(folder: Path) -> subprocess.Popen[bytes]:
+    """Start making a video in a folder; one thread, so that it does not do as this process does."""
+    rows, columns = np.indices(TINY_SIZE)
+    entries = {}
+    for index in range(2):
+        picture = np.stack([rows * 7, columns * 3, rows * columns + 90 * index], axis=-1).astype(np.uint8)
+        write_image(folder / f"{index}.png", picture)
+        write_depth(folder / f"{index}.exr", 2.0 + 0.1 * np.sin(columns / 3.0).astype(np.float32))
+        pose = Pose(np.eye(3), np.array([0.0, 0.0, -0.3 * index]))
+        entries[f"{index}.png"] = PosedPanorama(pose, folder / f"{index}.exr")
+    write_poses(folder / POSES_NAME, entries)
+    options = ["--fusion", "network", "--adaptive", "--frames", "3", "--threads", "1", "--quiet"]
+    words = ["interpolate", str(folder), "-o", str(folder / "video.mp4"), *options]
+    with safe_path():
+        return subprocess.Popen(  # noqa: S603 - this program
+            [sys.executable, "-m", "omnisyn_cli", *words],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
