@@ -70,6 +70,8 @@ class View:
         is_clipped: whether much of it was clipped at white before it was darkened to the exposure of another panorama.
             The true colours there are unknown.
         image_uint8: ``(height, width, 3)`` the same image with 8 bits per channel, if it came with these.
+        shows_masked: whether masked pixels may be shown where the panorama itself is, at the ends of the way: they have
+            colours of their own, such as those of a cap.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -78,6 +80,7 @@ class View:
     known_depth: DepthEstimate | None = None
     is_clipped: bool = False
     image_uint8: UInt8[np.ndarray, "height width 3"] | None = None
+    shows_masked: bool = False
 
     def __repr__(self) -> str:
         height, width = self.image.shape[:2]

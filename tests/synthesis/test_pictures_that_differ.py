@@ -91,10 +91,28 @@ def test_what_is_near_the_nadir_comes_from_the_other_panorama(tmp_path: Path) ->
     image = clean.copy()
     image[60:] = (1, 0, 1)
     write_image(job.images[0], as_bytes(image))
-    run_interpolation(plan_interpolation(replace(job, nadir=np.radians(13.0))))
+    run_interpolation(plan_interpolation(replace(job, nadir=np.radians(13.0), nadir_fill=True)))
     found = read_frames(job.output)
     assert np.abs(found[0][60:] - clean[60:]).mean() < 0.03
     np.testing.assert_allclose(found[0][:58], clean[:58], atol=0.02)
+
+
+def test_the_ends_are_the_photographs_whatever_is_masked_and_it_fades(tmp_path: Path) -> None:
+    """A cap shows in the first frame, half of it in the next, and none of it then."""
+    job = replace(hall_job(tmp_path), frames=81, nadir=np.radians(13.0))
+    images = [read_panorama(path).image.copy() for path in job.images]
+    for path, image in zip(job.images, images, strict=True):
+        image[60:] = (1, 0, 1)
+        write_image(path, as_bytes(image))
+    run_interpolation(plan_interpolation(job))
+    found = read_frames(job.output)
+    for frame, image in ((found[0], images[0]), (found[-1], images[1])):
+        np.testing.assert_array_equal(as_bytes(frame), as_bytes(image))
+    purple = [float((frame[62:] @ (0.5, -1.0, 0.5)).mean()) for frame in found]
+    assert purple[0] > 0.99
+    assert purple[0] > purple[1] > purple[2] > purple[3] > purple[4] + 0.05
+    assert max(purple[4:-4]) < 0.3
+    np.testing.assert_allclose(purple[:4], purple[:-5:-1], atol=0.15)
 
 
 def test_a_mask_from_the_command_line_counts_like_one_of_the_pose_file(tmp_path: Path) -> None:
@@ -107,7 +125,9 @@ def test_a_mask_from_the_command_line_counts_like_one_of_the_pose_file(tmp_path:
     masks[0][20:30, 40:60] = 0
     for name, mask in zip(("m0.png", "m1.png"), masks, strict=True):
         write_image(tmp_path / name, as_bytes(mask))
-    run_interpolation(plan_interpolation(replace(job, masks=(tmp_path / "m0.png", tmp_path / "m1.png"))))
+    run_interpolation(
+        plan_interpolation(replace(job, masks=(tmp_path / "m0.png", tmp_path / "m1.png"), nadir_fill=True))
+    )
     assert np.abs(read_frames(job.output)[0][20:30, 40:60] - clean[20:30, 40:60]).mean() < 0.05
 
 

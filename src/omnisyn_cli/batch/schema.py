@@ -106,7 +106,7 @@ MANIFEST_TYPES: Mapping[str, Any] = {
     "size": Annotated[str, AfterValidator(_size)] | None,
     "encoder_preset": Name | None,
     "masks": list[Name] | None,
-    "nadir": Annotated[float, Field(ge=0, lt=90)],
+    "nadir": Annotated[float, Field(ge=0, lt=90)] | None,
     "hfov": Annotated[float, Field(gt=0, le=360)] | None,
     "vfov": Annotated[float, Field(gt=0, le=180)] | None,
     "fov": Annotated[float, Field(gt=0, lt=180)] | None,

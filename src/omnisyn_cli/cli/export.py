@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +65,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 @json_option("the summary")
 @quiet_option
 def export(
-    *, as_json: bool, dry_run: bool, quiet: bool, nadir: float,
+    *, as_json: bool, dry_run: bool, quiet: bool,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002
 ) -> None:  # fmt: skip
     """Write panoramas A, B and more, with their depth, for other programs.
@@ -88,9 +87,7 @@ def export(
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
-    job = ExportJob(
-        nadir=math.radians(nadir), format=format, texture=texture, stride=stride, sky=sky, dome=dome, **given
-    )
+    job = ExportJob(format=format, texture=texture, stride=stride, sky=sky, dome=dome, **given)
     run_job(job, plan_export, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet)
 
 

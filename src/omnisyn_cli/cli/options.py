@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, NadirRange, WholeRange
 from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import DEVICES
@@ -57,9 +57,15 @@ masks_option = click.option(
     help="Image that is black where a panorama must not be used. Give one per panorama, in order.",
 )  # fmt: skip
 
-nadir_option = click.option(
-    "--nadir", metavar="DEGREES", type=FiniteRange(0, 90, max_open=True), default=0.0,
+cap_option = click.option(
+    "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0,
     help="Exclude a cap of this radius around straight down: a tripod or a car roof.",
+)  # fmt: skip
+
+nadir_option = click.option(
+    "--nadir", metavar="DEGREES|auto", type=NadirRange(), default="auto", show_default=True,
+    help="Exclude a cap of this radius around straight down; auto finds caps, tripods and operators; 0 excludes "
+    "nothing.",
 )  # fmt: skip
 
 

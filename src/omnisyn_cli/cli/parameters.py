@@ -32,6 +32,19 @@ class FiniteRange(click.FloatRange):
         return number
 
 
+class NadirRange(FiniteRange):
+    """Degrees on the command line, radians in the program; ``auto`` is None."""
+
+    name = "degrees"
+
+    def __init__(self) -> None:
+        super().__init__(0, 90, max_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The angle, or None."""
+        return None if value in ("auto", None) else math.radians(super().convert(value, param, ctx))
+
+
 class Seconds(FiniteRange):
     """Seconds as a number, or with an s behind it."""
 

@@ -13,9 +13,9 @@ from omnisyn_cli.cli.failures import FAILED
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import (
     all_of,
+    cap_option,
     json_option,
     masks_option,
-    nadir_option,
     outside_option,
     quiet_option,
     upper_half_option,
@@ -52,7 +52,7 @@ output_option = click.option("-o", "--output", required=True, type=FilePath(), h
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 picture_options = all_of(
     masks_option,
-    nadir_option,
+    cap_option,
     click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]"),
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
     upper_half_option,
@@ -276,7 +276,7 @@ def _picture_options(nadir: float, upper_half: bool, **options: Any) -> PictureO
     from omnisyn_cli.io.placement import Reading
     from omnisyn_cli.poses.estimation import PictureOptions
 
-    return PictureOptions(nadir=math.radians(nadir), reading=Reading(upper_half), **options)
+    return PictureOptions(nadir=nadir, reading=Reading(upper_half), **options)
 
 
 def _report(notes: Sequence[str], quiet: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -54,7 +53,7 @@ if TYPE_CHECKING:
 @json_option("the summary")
 @quiet_option
 def view(
-    *, as_json: bool, dry_run: bool, quiet: bool, nadir: float, texture: int, lossless: bool,
+    *, as_json: bool, dry_run: bool, quiet: bool, texture: int, lossless: bool,
     folder: bool, serve: bool, is_opened: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Make a page to walk in, from panorama A to B, and on through C and more.
@@ -78,7 +77,7 @@ def view(
     if serve and not folder:
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
     given = named(options, lambda: "-walk" if folder else ".html")
-    job = ViewJob(nadir=math.radians(nadir), options=ViewOptions(texture, lossless), is_folder=folder, **given)
+    job = ViewJob(options=ViewOptions(texture, lossless), is_folder=folder, **given)
     summary = run_job(
         job, plan_view, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet
     )

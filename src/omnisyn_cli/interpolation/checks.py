@@ -71,7 +71,7 @@ def check_choices(job: TourJob) -> None:
             f"expected one mask for each of {len(job.images)} panoramas, got {len(job.masks)}; name them in the order "
             "of the panoramas, or in the pose file"
         )
-    if not 0.0 <= job.nadir < MAX_NADIR_RADIANS:
+    if job.nadir is not None and not 0.0 <= job.nadir < MAX_NADIR_RADIANS:
         raise InputError(
             f"expected a cap around the nadir of at least 0 and less than {math.degrees(MAX_NADIR_RADIANS):g} degrees, "
             f"got {math.degrees(job.nadir):g}; give the angle from straight down to its edge"

@@ -58,6 +58,9 @@ class TourJob:
             neither is the preset's.
         masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
         nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
+            None finds by itself what moves with the camera, see :mod:`omnisyn_cli.synthesis.camera_fixed`.
+        nadir_fill: continue the ground over what is not used at the ends of the way as well, where the photograph is
+            shown otherwise.
         fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`.
         threads: at most this many; None is one per core.
         overwrite: replace what exists.
@@ -82,7 +85,8 @@ class TourJob:
     cut: Annotated[float, Interval(gt=0, le=1)] | None = None
     cut_metres: Positive | None = None
     masks: tuple[Path, ...] = ()
-    nadir: float = 0.0
+    nadir: float | None = None
+    nadir_fill: bool = False
     fallback: str = "none"
     threads: int | None = None
     overwrite: bool = False

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.geometry.pose import at_same_position
+from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import reading_of
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import Panorama, read_inverse_depth
@@ -49,6 +51,9 @@ class Loader(Sequence[View]):
     """All views, read from their files when they are needed.
 
     The last two are kept, as long as the loader is; three where depth is looked for in a tour.
+
+    Attributes:
+        left_out: share of the sphere that was found to move with the camera, by the index of the panorama.
     """
 
     def __init__(self, plan: TourPlan, clock: Stopwatch, read: PanoramaReader) -> None:
@@ -56,6 +61,10 @@ class Loader(Sequence[View]):
         # Methods of its own in here would keep the loader, and what it keeps, alive until somebody looks for cycles.
         self.panorama = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_panorama, plan, read))
         self._companions = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_companions, plan, self.panorama))
+        self._camera_fixed = lru_cache(maxsize=2 + plan.looks_ahead)(
+            partial(_find_camera_fixed, plan, self.panorama, self._companions)
+        )
+        self.left_out: dict[int, float] = {}
 
     def __len__(self) -> int:
         return len(self._plan.entries)
@@ -63,9 +72,16 @@ class Loader(Sequence[View]):
     def __getitem__(self, index: int) -> View:  # type: ignore[override]
         with self._clock("decode"):
             panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
-            return View(
-                panorama.image(), self._plan.entries[index].pose, mask, known_depth, image_uint8=panorama.samples
-            )
+        if self._plan.job.nadir is None:
+            with self._clock("check"):
+                fixed = self._camera_fixed(max(index - 1, 0))[min(index, 1)]
+            if fixed is not None:
+                mask = ~fixed if mask is None else mask & ~fixed
+                area = solid_angles(*fixed.shape)
+                self.left_out[index] = float(area[fixed].sum() / area.sum())
+        shows_masked = panorama.mask is None and not self._plan.job.nadir_fill
+        pose = self._plan.entries[index].pose
+        return View(panorama.image(), pose, mask, known_depth, image_uint8=panorama.samples, shows_masked=shows_masked)
 
     def release_floats(self, index: int) -> None:
         """What the surfaces of a pair have been made of is not needed as numbers any more."""
@@ -86,11 +102,29 @@ def _read_companions(
     """What of a panorama may be used, and its depth if that is known."""
     job, entry, panorama = plan.job, plan.entries[index], panorama_of(index)
     mask = usable_part(
-        panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir,
+        panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir or 0.0,
         allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
         reading=replace(reading_of(job), view_transform=False, size=plan.source_sizes[index]),
     )  # fmt: skip
     return mask, _known_depth(plan, entry)
+
+
+def _find_camera_fixed(
+    plan: TourPlan,
+    panorama_of: Callable[[int], CachedPanorama],
+    companions_of: Callable[[int], tuple[np.ndarray | None, DepthEstimate | None]],
+    first: int,
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """What moves with the camera in a panorama and in the next one."""
+    views = [
+        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0])
+        for index in (first, first + 1)
+    ]
+    if at_same_position(views[0].pose, views[1].pose):
+        return None, None
+    from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
+
+    return find_camera_fixed(views[0], views[1])
 
 
 def _known_depth(plan: TourPlan, entry: PosedPanorama) -> DepthEstimate | None:

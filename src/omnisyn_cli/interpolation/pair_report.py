@@ -41,7 +41,7 @@ def write_pair_report(job: TourJob) -> TourPlan:
     check_page(job.output, job.overwrite)
     plan = plan_tour(job)
     poses = PoseFile(job.poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)))
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir)
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0)
     scores: dict[int, PairConfidence] = {}
     pairs = [
         _described(plan, pair, scores[pair.index], diagnosis)

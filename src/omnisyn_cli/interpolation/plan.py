@@ -301,7 +301,7 @@ def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
     from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
 
     reading = reading_of(job)
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir, reading)
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
     if is_found:
         found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
     else:

@@ -160,7 +160,7 @@ def run_interpolation(
                 for sink in sinks:
                     sink.finish()
     keeper.write_walk()
-    return Summary(plan, clock.with_total(), keeper.pairs, keeper.made)
+    return Summary(plan, clock.with_total(), keeper.pairs, loader.left_out, keeper.made)
 
 
 def _infinitely_far(depth: DepthEstimate) -> float:

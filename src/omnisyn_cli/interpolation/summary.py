@@ -78,11 +78,13 @@ class TourSummary:
         plan: what was planned.
         seconds: wall time by stage; ``total`` is all of it.
         pairs: how far what is made of two panoramas can be relied on, by the index of the first.
+        left_out: share of the sphere that moves with the camera and was left out, by the index of the panorama.
     """
 
     plan: TourPlan
     seconds: dict[str, float]
     pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
+    left_out: Mapping[int, float] = field(default_factory=dict)
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
     """What to do about a doubtful pair."""
@@ -115,10 +117,16 @@ class TourSummary:
     def describe(self) -> dict[str, Any]:
         """The summary as plain values, for people and for JSON."""
         stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
-        return {**self.plan.describe(), **self.results, "stages": stages, "confidence": self.confidence}
+        left_out = [{"panorama": index, "share": round(share, 4)} for index, share in sorted(self.left_out.items())]
+        described = {**self.plan.describe(), **self.results, "left_out": left_out}
+        return {**described, "stages": stages, "confidence": self.confidence}
 
     def lines(self) -> Iterator[str]:
-        """For people: how far the worst pair can be relied on, where it is weakest, what to try, and how to see why."""
+        """For people: what was left out, how far the worst pair can be relied on, where it is weakest, what to try."""
+        if self.left_out:
+            shares = [f"{share:.1%} of {self.plan.job.images[k].name}" for k, share in sorted(self.left_out.items())]
+            more = f" and {len(shares) - 2} more" if len(shares) > 2 else ""
+            yield f"left out, because it moves with the camera: {', '.join(shares[:2])}{more} (--nadir 0 keeps it)"
         if not self.pairs:
             return
         index = min(self.pairs, key=lambda each: self.pairs[each].score)
@@ -139,11 +147,11 @@ class TourSummary:
         return f"between {first.name} and {second.name}, {direction_in_words(direction)}"
 
     def _remedies(self, pair: PairConfidence) -> Iterator[str]:
-        if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and self.plan.job.nadir == 0.0:
+        if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and not self.plan.job.nadir:
             yield "--nadir 25 if a tripod shows"
         if pair.inconsistency > MAX_GOOD_SHARE:
             yield "--mask for people and things that moved"
-        if pair.disagreement > MAX_GOOD_SHARE:
+        if pair.disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
             yield "omnisyn poses check"
         yield "panoramas closer together"
         if pair.score < MIN_PAIR_SCORE and self.plan.recipe.fallback == "none":

@@ -74,6 +74,7 @@ class PairSurfaces:
 def tour_surfaces(
     plan: TourPlan,
     scores: MutableMapping[int, PairConfidence] | None = None,
+    left_out: MutableMapping[int, float] | None = None,
     *,
     read: PanoramaReader = read_panorama,
     estimator: DepthEstimator | None = None,
@@ -84,6 +85,7 @@ def tour_surfaces(
     Args:
         plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its recipe depth, cut and device matter.
         scores: is given how far each pair can be relied on, by the index of its first panorama.
+        left_out: is given what share of each panorama moves with the camera, by its index.
         read: decodes a panorama.
         estimator: finds depth in place of the recipe's.
         clock: collects seconds by stage.
@@ -103,6 +105,8 @@ def tour_surfaces(
                 pair = pair_surfaces(plan, first, views, depths, check)
         if scores is not None:
             scores[first] = check.confidence
+        if left_out is not None:
+            left_out.update(loader.left_out)
         yield pair
 
 

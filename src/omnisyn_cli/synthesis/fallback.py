@@ -12,6 +12,50 @@ from omnisyn_cli.fusion.layer_pair import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
+from omnisyn_cli.types import View
+
+FADE_SHARE = 0.05
+"""Share of the way in which what is masked fades: four frames of ninety. Set by hand."""
+
+
+class MaskedFade:
+    """What is masked in two photographs, shown at the ends of the way and faded within the first frames.
+
+    Args:
+        views: both; only those that show what is masked count.
+        size: height and width of the frames.
+        threads: at most this many; None is one per core.
+    """
+
+    def __init__(self, views: Sequence[View], size: tuple[int, int], threads: int | None = None) -> None:
+        self._poses = [view.pose for view in views]
+        self._textures = [
+            make_texture(view.image if view.image_uint8 is None else view.image_uint8, ~view.mask)
+            if view.shows_masked and view.mask is not None and not view.mask.all()
+            else None
+            for view in views
+        ]
+        self._shader, self._threads = Shader(size, threads), threads
+
+    def __call__(self, image: Shaped[np.ndarray, "height width 3"], pose: Pose, t: float) -> None:
+        """Show the masked pixels of the photograph at the nearer end, in place, if that is near enough."""
+        nearer, quantization = int(t > 0.5), quantization_for(image)
+        share, texture = 1.0 - min(t, 1.0 - t) / FADE_SHARE, self._textures[nearer]
+        if texture is None or share <= 0.0:
+            return
+        turn = Pose(pose.rotation.T @ self._poses[nearer].rotation, np.zeros(3))
+
+        def band(begin: int, end: int) -> None:
+            for top in range(begin, end, TILE_ROWS):
+                rows = slice(top, min(top + TILE_ROWS, end))
+                photograph = self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)
+                weight = np.float32(share) * np.clip(photograph[..., 3:], 0.0, 1.0)
+                if weight.any():
+                    mixed = (1.0 - weight) * (image[rows] / quantization.scale) + weight * photograph[..., :3]
+                    mixed = np.clip(mixed, 0.0, quantization.max_colour)
+                    image[rows] = mixed * quantization.scale + quantization.rounding
+
+        run_ranges(band, len(image), self._threads)
 
 
 class CrossFade:

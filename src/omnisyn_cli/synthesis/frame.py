@@ -102,6 +102,8 @@ def fuse_frame(
         image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
         if pair.cross_fade is not None and confidence is not None:
             pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
+        if pair.masked_fade is not None:
+            pair.masked_fade(image, waypoint.pose, waypoint.t)
     return FusedFrame(
         Frame(image, waypoint, None, confidence), lambda: max(float(view.inverse_depth.max()) for view in seen),
         pixels_per_radian(options.size),
@@ -117,4 +119,6 @@ def _fuse_frame_on_device(
     with clock("render"):
         target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in pair.poses)
         on_device.frame(target_from_first, target_from_second, waypoint.t, image)
+        if pair.masked_fade is not None:
+            pair.masked_fade(image, waypoint.pose, waypoint.t)
     return FusedFrame(Frame(image, waypoint, None), lambda: on_device.nearest, pixels_per_radian(options.size))

@@ -17,7 +17,7 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererClass, RendererInputs
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
-from omnisyn_cli.synthesis.fallback import CrossFade
+from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
 from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ class PreparedPair:
         renderers: of both.
         check: how differently they are exposed, and how far what is made of them can be relied on.
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
+        masked_fade: fades what is masked at the ends; None where nothing masked is shown.
         triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
         on_device: makes whole frames of both on a device; None where the processor does.
     """
@@ -71,6 +72,7 @@ class PreparedPair:
     renderers: tuple[Renderer, Renderer]
     check: CrossCheck
     cross_fade: CrossFade | None = None
+    masked_fade: MaskedFade | None = None
     triangles: tuple[int, int] | None = None
     on_device: GpuPair | None = None
 
@@ -98,6 +100,9 @@ def prepare_pair(
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
     depths, check = measure_pair(index, tour, options, clock)
     views = first, second = tour.views[index], tour.views[index + 1]
+    masked_fade = None
+    if any(view.shows_masked and view.mask is not None for view in views):
+        masked_fade = MaskedFade(views, options.size, options.threads)
     poses = (first.pose, second.pose)
     if device is not None:
         with clock("mesh"):
@@ -107,7 +112,7 @@ def prepare_pair(
             ]
             pair = device.pair(surfaces[0], surfaces[1], check.curve)
         triangles = (pair.triangles, pair.triangles)
-        return PreparedPair(index, poses, depths, pair.surfaces, check, triangles=triangles, on_device=pair)
+        return PreparedPair(index, poses, depths, pair.surfaces, check, None, masked_fade, triangles, pair)
     with clock("mesh"), limited_threads(options.threads):
         renderers = both(
             lambda: _renderer(first, second, depths[0], options), lambda: _renderer(second, first, depths[1], options)
@@ -118,7 +123,7 @@ def prepare_pair(
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return PreparedPair(index, poses, depths, renderers, check, cross_fade, counts)
+    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts)
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:

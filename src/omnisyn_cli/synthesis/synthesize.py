@@ -61,7 +61,7 @@ def synthesize(
 def _photograph_at(
     views: Sequence[View], waypoint: Waypoint, method: Method, out: FrameAllocator | None
 ) -> Frame | None:
-    """The panorama that was taken at a waypoint; None where there is none, or not all of it may be used.
+    """The panorama that was taken at a waypoint; None where there is none, or not all of it may be shown.
 
     It is resampled only where size or orientation differ.
     """
@@ -69,7 +69,7 @@ def _photograph_at(
         return None
     index, options = waypoint.segment + int(waypoint.t), method.options
     view = views[index]
-    if view.mask is not None and not view.mask.all():
+    if view.mask is not None and not view.shows_masked and not view.mask.all():
         return None
     confidence = np.ones(options.size, np.float32) if options.confidence else None
     is_turned = not np.array_equal(view.pose.rotation, waypoint.pose.rotation)
@@ -81,13 +81,14 @@ def _photograph_at(
             image = turned_panorama(view.image, turn, options.size, options.threads)
         else:
             image = out()
-            _turn_rows(view.image if view.image_uint8 is None else view.image_uint8, turn, image, options.threads)
+            samples = view.image if view.image_uint8 is None else view.image_uint8
+            _turn_rows(samples, turn, Shader(tuple(options.size), options.threads), image)
     return Frame(image, waypoint, None, confidence)
 
 
-def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, threads: int | None) -> None:
+def _turn_rows(image: np.ndarray, target_from_source: Pose, shader: Shader, out: np.ndarray) -> None:
     """:func:`turned_panorama`, rounded to 8 bits, some rows at a time."""
-    shader, texture = Shader(out.shape[:2], threads), make_texture(image)
+    texture = make_texture(image)
 
     def band(begin: int, end: int) -> None:
         for top in range(begin, end, TILE_ROWS):
@@ -95,7 +96,7 @@ def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, thr
             colour = shader.rows_at_infinity(texture, target_from_source, top, bottom)
             quantize_rows(colour, np.float32(255.0), out[top:bottom], 0, bottom - top)
 
-    run_ranges(band, len(out), threads)
+    run_ranges(band, len(out), shader.threads)
 
 
 def turned_panorama(

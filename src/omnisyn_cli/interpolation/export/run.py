@@ -210,9 +210,10 @@ def run_export(
     """
     clock = Stopwatch()
     pairs: dict[int, PairConfidence] = {}
+    left_out: dict[int, float] = {}
 
     def surfaces() -> Iterator[PanoramaSurface]:
-        found = tour_surfaces(plan, pairs, estimator=estimator, clock=clock)
+        found = tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock)
         for done, surface in enumerate(panorama_surfaces(found), start=1):
             yield surface
             if on_panorama:
@@ -220,7 +221,7 @@ def run_export(
 
     write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
     points, triangles = write(plan, surfaces(), clock)
-    return ExportSummary(plan, clock.with_total(), pairs, points, triangles)
+    return ExportSummary(plan, clock.with_total(), pairs, left_out, points, triangles)
 
 
 def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:

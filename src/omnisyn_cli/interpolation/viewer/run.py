@@ -111,7 +111,8 @@ def run_view(
     clock = Stopwatch()
     packer = TourPacker(plan, plan.job.options)
     pairs: dict[int, PairConfidence] = {}
-    for done, pair in enumerate(tour_surfaces(plan, pairs, estimator=estimator, clock=clock), start=1):
+    left_out: dict[int, float] = {}
+    for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
         refuse_doubtful(plan, pair.index, pair.check.confidence)
         with clock("pack"):
             packer.add(pair)
@@ -122,7 +123,7 @@ def run_view(
     with clock("write"):
         write = write_folder if plan.job.is_folder else write_page
         size = write(plan.job.output, packer.packed())
-    return ViewSummary(plan, clock.with_total(), pairs, size)
+    return ViewSummary(plan, clock.with_total(), pairs, left_out, size)
 
 
 def _check_size(plan: ViewPlan, packer: TourPacker) -> None:

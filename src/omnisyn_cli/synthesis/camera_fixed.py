@@ -1,0 +1,367 @@
+"""What moves with the camera: caps over the nadir, tripods, car roofs and operators, found in a pair of panoramas.
+
+Both panoramas are looked at around their own nadir, in a map whose pixels have equal angles. A cap is a uniform patch,
+or a disc with a round edge or a blurred inside. Everything else keeps its place in both maps although the ground has
+moved. The ground is a horizontal plane; the camera's height above it is the one that explains most of both maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.regions import connected_regions
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.types import View
+
+__all__ = ["find_camera_fixed"]
+
+MAP_SIZE, MAP_DEG = 200, 70.0
+"""Rows of a map, and the angle from the nadir to the middle of its sides."""
+
+DEG_PER_PIXEL = 2.0 * MAP_DEG / MAP_SIZE
+
+CAP_RADII_DEG = (4.0, 45.0)
+"""Least and largest radius of a cap. Set by hand, as are all constants of this file."""
+
+MAX_CAP_AREA_RATIO = 1.7
+"""The caps of both panoramas have about the same area."""
+
+PATCH_TOLERANCE = 0.036
+"""Difference of colour inside a uniform patch: JPEG noise."""
+
+MIN_SOLIDITY, MAX_OFFSET = 0.85, 0.3
+"""Share of its convex hull that a uniform patch has to fill, and how far from the nadir it lies, in radii."""
+
+MIN_EDGE_STEP, MIN_EDGE_SHARE, MIN_EDGE_LEAD = 0.04, 0.75, 3.0
+"""Step of colour at the edge of a cap, share of the circumference that has it, and its ratio to steps elsewhere."""
+
+MIN_DETAIL, MAX_BLURRED_DETAIL = 0.006, 0.45
+"""Mean difference from a smoothed picture beside a blurred disc, and the share of it inside."""
+
+SECTORS, SUBSECTORS = 72, 4
+"""Sectors of a circle around the nadir in which edges are looked for, and samples across each."""
+
+GROUND_HEIGHTS = np.geomspace(0.15, 3.5, 34)
+"""Heights of the camera above the ground that are tried, in baselines."""
+
+MIN_GROUND_SHARE, MIN_GROUND_LEAD = 0.004, 2.0
+"""Share of the map that has to show the ground at its best height, and its ratio to the median of all heights."""
+
+MIN_BASELINE = 0.25
+"""Horizontal distance of the cameras, in heights above the ground, from which on the ground moves enough."""
+
+MIN_GROUND_MOTION_DEG = 6.0
+"""Angle by which the ground must move at a place."""
+
+SEARCH_PIXELS = 3
+"""Pixels of the map that something may move beside the camera: an operator is never quite still."""
+
+WINDOW = (9, 9)
+"""Windows of the map that are compared."""
+
+MIN_GROUND_CONTRAST, MIN_OBJECT_CONTRAST = 0.02, 0.03
+"""Standard deviation of colours in windows that can be compared."""
+
+MIN_CORRELATION = 0.85
+"""Correlation of windows that show the same ground."""
+
+MIN_LIKENESS, MIN_LIKENESS_LEAD = 0.8, 0.25
+"""Likeness in place of what moves with the camera, and its lead over the correlation of the moved ground."""
+
+REPEAT_PIXELS, MIN_REPEAT_LIKENESS = range(4, 12), 0.7
+"""Distances at which a window may look like itself, and how much it does where a pattern repeats."""
+
+MAX_STILL_DIFFERENCE, MIN_GROUND_DIFFERENCE = 0.04, 0.06
+"""Differences of smoothed colours in place, and from the moved ground, of what belongs to such windows."""
+
+GROWTH_PIXELS, CLOSING_PIXELS = 8, 4
+"""How far from such windows the rest of an object is looked for, and how wide its gaps may be."""
+
+MAX_START_DEG, MIN_AREA_DEG2 = 22.0, 60.0
+"""Where such an object has to begin, from the nadir, and its least area in square degrees."""
+
+MARGIN_PIXELS = 2
+"""What is left out around everything found: soft edges, shadows of contact."""
+
+Mask = Bool[np.ndarray, "rows cols"]
+
+
+def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | None]:
+    """Pixels of both views, each at its own size, that show what moves with the camera; None where nothing does.
+
+    Args:
+        first: a panorama.
+        second: one taken elsewhere with the same camera.
+    """
+    maps = _NadirMap.of(first), _NadirMap.of(second)
+    caps = [_uniform_patch(each.image) for each in maps]
+    if not all(cap.any() for cap in caps):
+        caps = [_round_cap(each.image) for each in maps]
+    areas = sorted(int(cap.sum()) for cap in caps)
+    has_cap = areas[0] > 0 and areas[1] < MAX_CAP_AREA_RATIO * areas[0]
+    still = _still(maps, (first, second))
+    found = [kept | cap if has_cap else kept for kept, cap in zip(still, caps, strict=True)]
+    masks = [
+        _on_sphere(_dilated(each, MARGIN_PIXELS), view.image.shape[:2]) if each.any() else None
+        for each, view in zip(found, (first, second), strict=True)
+    ]
+    return masks[0], masks[1]
+
+
+@dataclass(frozen=True)
+class _NadirMap:
+    """A panorama around its nadir.
+
+    Attributes:
+        image: ``(MAP_SIZE, MAP_SIZE, 3)`` RGB.
+        usable: where it may be used.
+        directions: of its pixels, in the frame of the camera.
+        grey: its mean over the channels.
+        variance: of the colours in windows, summed over channels.
+    """
+
+    image: Float32[np.ndarray, "rows cols 3"]
+    usable: Mask
+    directions: Float[np.ndarray, "rows cols 3"]
+    grey: Float32[np.ndarray, "rows cols"]
+    variance: Float32[np.ndarray, "rows cols"]
+
+    @staticmethod
+    def of(view: View) -> _NadirMap:
+        """Of a view; at most as fine as its picture."""
+        x, y = _map_degrees()
+        angle, azimuth = np.radians(np.hypot(x, y)), np.arctan2(x, -y)
+        directions = np.stack([np.sin(angle) * np.sin(azimuth), -np.cos(angle), -np.sin(angle) * np.cos(azimuth)], -1)
+        height = min(view.image.shape[0], round(180.0 / DEG_PER_PIXEL))
+        size = (height, 2 * height)
+        small = cv2.resize(np.asarray(view.image, np.float32), size[::-1], interpolation=cv2.INTER_AREA)
+        row, col = direction_to_pixel(directions, size)
+        image = _look_up(np.concatenate([small, small[:, :1]], axis=1), col % size[1], np.minimum(row, height - 1))
+        usable = np.ones(image.shape[:2], bool)
+        if view.mask is not None:
+            mask = cv2.resize(view.mask.astype(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
+            usable = mask[np.clip(np.rint(row), 0, height - 1).astype(int), np.rint(col).astype(int) % size[1]] > 0
+        variance = (cv2.blur(image * image, WINDOW) - cv2.blur(image, WINDOW) ** 2) @ np.ones(3, np.float32)
+        return _NadirMap(image, usable, directions, image @ np.full(3, 1.0 / 3.0, np.float32), variance)
+
+
+def _map_degrees() -> tuple[np.ndarray, np.ndarray]:
+    """Degrees to the right and down of the nadir."""
+    axis = (np.arange(MAP_SIZE) + 0.5) * DEG_PER_PIXEL - MAP_DEG
+    x, y = np.meshgrid(axis, axis)
+    return x, y
+
+
+def _to_map(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows of a map that show directions, in the frame of its camera."""
+    across = np.hypot(direction[..., 0], direction[..., 2])
+    scale = np.degrees(np.arctan2(across, -direction[..., 1])) / np.maximum(across, 1e-9)
+    col, row = ((scale * direction[..., k] + MAP_DEG) / DEG_PER_PIXEL - 0.5 for k in (0, 2))
+    return col, row
+
+
+def _look_up(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """The image there; -1 beyond it."""
+    at = np.asarray(col, np.float32), np.asarray(row, np.float32)
+    return np.asarray(cv2.remap(image, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(-1.0,) * 3))
+
+
+def _on_sphere(found: Mask, size: tuple[int, int]) -> Mask:
+    """What was found in a map, as a mask of the panorama."""
+    mask, top = np.zeros(size, bool), int(size[0] * (1.0 - MAP_DEG / 180.0))
+    mask[top:] = _look_up(found.astype(np.float32), *_to_map(pixel_directions(*size)[top:])) > 0.5
+    return mask
+
+
+def _dilated(mask: Mask, reach: int) -> Mask:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), _disc(reach)) > 0)
+
+
+def _disc(reach: int) -> np.ndarray:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
+
+
+def _uniform_patch(image: np.ndarray) -> Mask:
+    """The uniform region that contains the nadir, if it is compact, of the size of a cap, and ends in an edge."""
+    x, y = _map_degrees()
+    radius, nothing, middle = np.hypot(x, y), np.zeros(image.shape[:2], bool), MAP_SIZE // 2
+    colour = np.median(image[radius < 0.5 * CAP_RADII_DEG[0]], axis=0)
+    label = connected_regions(_step(image, colour) < PATCH_TOLERANCE, is_diagonal=False)
+    region = (label == label[middle, middle]) & (label > 0)
+    if not region[radius < 0.5 * CAP_RADII_DEG[0]].all() or radius[region].max() > CAP_RADII_DEG[1]:
+        return nothing
+    contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    hull = cv2.fillConvexPoly(np.zeros(image.shape[:2], np.uint8), cv2.convexHull(np.concatenate(contours)), 1) > 0
+    size = np.sqrt(hull.sum() / np.pi) * DEG_PER_PIXEL
+    offset = np.hypot(x[region].mean(), y[region].mean())
+    if size < CAP_RADII_DEG[0] or region.sum() < MIN_SOLIDITY * hull.sum() or offset > MAX_OFFSET * size:
+        return nothing
+    ring = _dilated(hull, 4) & ~_dilated(hull, 2)
+    is_edge = _step(image, colour)[ring] > MIN_EDGE_STEP
+    return hull if is_edge.mean() >= MIN_EDGE_SHARE else nothing
+
+
+def _round_cap(image: np.ndarray) -> Mask:
+    """A disc around the nadir that ends in a circular edge, or that is blurred where the ground beside it is not."""
+    radius = np.hypot(*_map_degrees())
+    first, last = (round(angle / DEG_PER_PIXEL) for angle in CAP_RADII_DEG)
+    count, centre = last + 12, (MAP_SIZE / 2 - 0.5, MAP_SIZE / 2 - 0.5)
+    fine = _step(image, cv2.GaussianBlur(image, (0, 0), 1.5))
+    colour, detail = (
+        cv2.warpPolar(values, (count, SECTORS * SUBSECTORS), centre, count, cv2.WARP_POLAR_LINEAR)
+        .reshape(SECTORS, SUBSECTORS, count, -1)
+        .mean(axis=1)
+        for values in (image, fine)
+    )  # sectors, radii, channels
+    steps = np.zeros((SECTORS, count))
+    steps[:, 2:-2] = np.abs(colour[:, 3:-1] - colour[:, 1:-3]).max(axis=-1)
+    share, strength = (steps > MIN_EDGE_STEP).mean(axis=0), np.median(steps, axis=0)
+    lead = np.zeros(count)
+    for k in range(first, last + 1):
+        if share[k] >= MIN_EDGE_SHARE and strength[k] == strength[k - 2 : k + 3].max():
+            around = max(np.median(strength[k + 3 : k + 10]), np.median(strength[max(1, k - 10) : k - 2]))
+            lead[k] = strength[k] / max(around, 0.25 * MIN_EDGE_STEP)
+    if lead.max() >= MIN_EDGE_LEAD:
+        return np.asarray(radius <= np.argmax(lead) * DEG_PER_PIXEL)
+    inner = np.maximum.accumulate(cv2.blur(detail[..., 0], (5, 1)).mean(axis=0))  # the most up to a radius
+    for k in range(last, first - 1, -1):
+        outside = detail[:, k + 3 : k + 8].mean(axis=(1, 2))
+        is_step = detail[:, k - 6 : k - 1].mean(axis=(1, 2)) < MAX_BLURRED_DETAIL * outside
+        is_blurred = inner[k - 2] < MAX_BLURRED_DETAIL * outside.mean()
+        if outside.mean() > MIN_DETAIL and is_blurred and is_step.mean() >= MIN_EDGE_SHARE:
+            return np.asarray(radius <= (k + 4) * DEG_PER_PIXEL)
+    return np.zeros(radius.shape, bool)
+
+
+def _still(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> tuple[Mask, Mask]:
+    """What keeps its place in both maps although the ground there has moved."""
+    nothing = np.zeros(maps[0].image.shape[:2], bool)
+    way = views[1].pose.position - views[0].pose.position
+    repeats = [_repeated_axes(each, view.pose, way) for each, view in zip(maps, views, strict=True)]
+    height = _ground_height(maps, views, repeats[0])
+    if height is None:
+        return nothing, nothing
+    in_place = [np.full(nothing.shape, -1.0, np.float32) for _ in maps]
+    difference = [np.full(nothing.shape, 9.0, np.float32) for _ in maps]
+    smooth = [cv2.blur(each.image, (3, 3)) for each in maps]
+    reach = range(-SEARCH_PIXELS, SEARCH_PIXELS + 1)
+    for shift in ((down, right) for down in reach for right in reach):
+        back = (-shift[0], -shift[1])
+        like = _likeness(*maps, shift)
+        colour = _step(smooth[0], np.roll(smooth[1], shift, (0, 1)))
+        for k, (values, steps) in enumerate(
+            ((like, colour), (np.roll(like, back, (0, 1)), np.roll(colour, back, (0, 1))))
+        ):
+            np.maximum(in_place[k], values, out=in_place[k])
+            np.minimum(difference[k], steps, out=difference[k])
+    at = [_ground_pixels(maps[k], (views[k], views[1 - k]), height + k * float(way[1])) for k in (0, 1)]
+    predicted = [_look_up(maps[1 - k].image, *at[k]) for k in (0, 1)]
+    on_ground = [_correlation(maps[k].grey, predicted[k] @ np.full(3, 1.0 / 3.0, np.float32)) for k in (0, 1)]
+    near = np.ones((2 * SEARCH_PIXELS + 1,) * 2, np.uint8)
+    kept = []
+    for k in (0, 1):
+        motion = np.hypot(at[k][0] - np.arange(MAP_SIZE), at[k][1] - np.arange(MAP_SIZE)[:, None]) * DEG_PER_PIXEL
+        is_moving = (motion > MIN_GROUND_MOTION_DEG) & maps[k].usable
+        ground = np.maximum(cv2.dilate(on_ground[k], near[:3, :3]), cv2.dilate(on_ground[1 - k], near))
+        step = _step(smooth[k], cv2.blur(predicted[k], (3, 3)))
+        is_other = cv2.dilate(step, near[:5, :5]) > 2.0 * MIN_GROUND_DIFFERENCE
+        is_like = (in_place[k] > MIN_LIKENESS) & (in_place[k] > ground + MIN_LIKENESS_LEAD)
+        seeds = is_moving & is_other & is_like & (repeats[k] < 2)
+        rest = (difference[k] < MAX_STILL_DIFFERENCE) & (step > MIN_GROUND_DIFFERENCE)
+        kept.append(_objects(seeds, seeds | (_dilated(seeds, GROWTH_PIXELS) & is_moving & rest)))
+    return kept[0] & _dilated(kept[1], GROWTH_PIXELS), kept[1] & _dilated(kept[0], GROWTH_PIXELS)
+
+
+def _objects(seeds: Mask, region: Mask) -> Mask:
+    """The connected parts of a region that begin near the nadir and have enough seeds."""
+    opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _disc(CLOSING_PIXELS)) > 0
+    label, radius = connected_regions(closed, is_diagonal=True), np.hypot(*_map_degrees())
+    kept = np.zeros(seeds.shape, bool)
+    for number in np.unique(label[seeds & closed]):
+        part = label == number
+        has_seeds = np.count_nonzero(part & seeds) * DEG_PER_PIXEL**2 >= MIN_AREA_DEG2
+        if has_seeds and radius[part].min() <= MAX_START_DEG:
+            outlines, _ = cv2.findContours(part.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            kept |= cv2.drawContours(np.zeros(part.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0
+    return kept
+
+
+def _ground_height(
+    maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View], repeats: Int[np.ndarray, "rows cols"]
+) -> float | None:
+    """The first camera's height above the ground; None if no height stands out, or the cameras are too close for it.
+
+    Patterns that repeat themselves do not count: they fit at several heights.
+    """
+    way = views[1].pose.position - views[0].pose.position
+    heights = GROUND_HEIGHTS * float(np.linalg.norm(way))
+    shares = []
+    for height in heights:
+        predicted = _look_up(maps[1].grey, *_ground_pixels(maps[0], views, float(height)))
+        fits = (_correlation(maps[0].grey, predicted) > MIN_CORRELATION) & (repeats == 0)
+        shares.append(float(fits.mean()))
+    best = int(np.argmax(shares))
+    if shares[best] < max(MIN_GROUND_SHARE, MIN_GROUND_LEAD * float(np.median(shares))):
+        return None
+    return float(heights[best]) if np.hypot(way[0], way[2]) >= MIN_BASELINE * heights[best] else None
+
+
+def _ground_pixels(own: _NadirMap, views: tuple[View, View], height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows of the second view's map that show the ground which the first view's map shows."""
+    own_pose, other_pose = views[0].pose, views[1].pose
+    world = own.directions @ own_pose.rotation.T
+    point = world * (height / np.maximum(-world[..., 1:2], 1e-3)) + own_pose.position - other_pose.position
+    col, row = _to_map(point @ other_pose.rotation)
+    is_below = world[..., 1] < -0.1
+    return np.where(is_below, col, -MAP_SIZE), np.where(is_below, row, -MAP_SIZE)
+
+
+def _repeated_axes(one: _NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
+    """In how many of four directions a pattern repeats itself: it may be found in place by chance.
+
+    The direction of the way of the camera counts twice: a line along it stays in place.
+    """
+    axes = np.zeros(one.image.shape[:2], int)
+    right, _, down = pose.rotation.T @ way / max(float(np.linalg.norm(way)), 1e-9)
+    for axis, count in (((0, 1), 1), ((1, 0), 1), ((1, 1), 1), ((1, -1), 1), ((float(down), float(right)), 2)):
+        alike = np.full(axes.shape, -1.0, np.float32)
+        for far in REPEAT_PIXELS[:: 3 - count]:
+            shift = (round(far * axis[0]), round(far * axis[1]))
+            like = _likeness(one, one, shift)
+            alike = np.maximum(alike, np.maximum(like, np.roll(like, (-shift[0], -shift[1]), (0, 1))))
+        axes += count * (alike > MIN_REPEAT_LIKENESS)
+    return axes
+
+
+def _step(a: np.ndarray, b: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
+    """The largest difference of a channel."""
+    step = np.abs(a - b)
+    return np.asarray(np.maximum(np.maximum(step[..., 0], step[..., 1]), step[..., 2]))
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
+    """Normalised correlation of windows of grey values; -1 where either has too little contrast."""
+    mean_a, mean_b, mean_ab = cv2.blur(a, WINDOW), cv2.blur(b, WINDOW), cv2.blur(a * b, WINDOW)
+    variances = cv2.blur(a * a, WINDOW) - mean_a**2, cv2.blur(b * b, WINDOW) - mean_b**2
+    is_textured = np.minimum(*variances) > MIN_GROUND_CONTRAST**2
+    scale = np.sqrt(np.maximum(variances[0] * variances[1], 1e-12))
+    return np.asarray(np.where(is_textured, (mean_ab - mean_a * mean_b) / scale, -1.0), np.float32)
+
+
+def _likeness(one: _NadirMap, other: _NadirMap, shift: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
+    """Of windows of one map and of another that is moved: 1 for equal colours, 0 if they differ as much as they vary.
+
+    -1 where either has too little contrast.
+    """
+    step = one.image - np.roll(other.image, shift, (0, 1))
+    variance = np.roll(other.variance, shift, (0, 1))
+    difference = cv2.blur(np.einsum("ijk,ijk->ij", step, step), WINDOW)
+    is_textured = np.minimum(one.variance, variance) > 3.0 * MIN_OBJECT_CONTRAST**2
+    likeness = 1.0 - difference / np.maximum(one.variance + variance, 1e-12)
+    return np.asarray(np.where(is_textured, likeness, -1.0), np.float32)

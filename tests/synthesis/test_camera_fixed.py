@@ -1,0 +1,80 @@
+"""What moves with the camera is found in both panoramas of a pair, and nothing is in a pair without it."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
+from omnisyn_cli.types import View
+
+SIZE = (256, 512)
+KINDS = ("white", "black", "logo", "blurred", "tripod", "operator")
+
+
+@pytest.fixture(scope="module", params=["street", "room"])
+def pair(request: pytest.FixtureRequest) -> tuple[View, View]:
+    scene = generate_scene(request.param, 11)
+    ends = sample_path(scene, 11, 2)
+    first, second = (View(render_panorama(scene, pose, SIZE, supersample=2, threads=1)[0], pose) for pose in ends)
+    return first, second
+
+
+def shape(kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Where something is painted, and its colours, in the frame of the camera."""
+    directions = pixel_directions(*SIZE)
+    angle = np.degrees(np.arccos(np.clip(-directions[..., 1], -1, 1)))
+    scale = angle / np.maximum(np.hypot(directions[..., 0], directions[..., 2]), 1e-9)
+    x, y = scale * directions[..., 0], scale * directions[..., 2]
+    colour = np.full((*SIZE, 3), {"white": 0.97, "tripod": 0.1}.get(kind, 0.03), np.float32)
+    if kind == "tripod":
+        legs = [
+            (np.abs(x * np.cos(turn) - y * np.sin(turn)) < 2.0) & (x * np.sin(turn) + y * np.cos(turn) > 0)
+            for turn in (0.2, 2.3, 4.4)
+        ]
+        return (np.any(legs, axis=0) & (angle < 28.0)) | (angle < 5.0), colour
+    if kind == "operator":
+        shirt = np.hypot((x - 30.0) / 15.0, y / 11.0) < 1.0
+        head = np.hypot(x - 46.0, y) < 6.0
+        colour[shirt] = (0.1, 0.2, 0.7)
+        colour[head] = (0.9, 0.7, 0.6)
+        return shirt | head | (np.hypot((x - 14.0) / 6.0, (np.abs(y) - 4.0) / 2.5) < 1.0), colour
+    if kind == "logo":
+        colour[(np.abs(x) < 3.0) | (np.abs(y - 4.0) < 2.0)] = (0.9, 0.8, 0.1)
+    return angle < 18.0, colour
+
+
+def painted(view: View, kind: str) -> View:
+    where, colour = shape(kind)
+    image = view.image.copy()
+    if kind == "blurred":
+        colour = cv2.GaussianBlur(image, (0, 0), 8.0)
+        colour[230:] = colour[230:].mean(axis=(0, 1))
+    image[where] = colour[where]
+    return replace(view, image=image)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_moves_with_the_camera_is_found(pair: tuple[View, View], kind: str) -> None:
+    where, _ = shape(kind)
+    found = find_camera_fixed(painted(pair[0], kind), painted(pair[1], kind))
+    for mask in found:
+        assert mask is not None
+        assert (mask & where).sum() > 0.7 * where.sum()
+        assert not mask[: SIZE[0] // 2].any()
+
+
+def test_a_pair_without_it_loses_nothing(pair: tuple[View, View]) -> None:
+    assert find_camera_fixed(*pair) == (None, None)
+
+
+def test_the_same_is_found_whichever_comes_first(pair: tuple[View, View]) -> None:
+    first, second = (painted(view, "operator") for view in pair)
+    there, back = find_camera_fixed(first, second), find_camera_fixed(second, first)
+    for one, other in zip(there, back[::-1], strict=True):
+        assert one is not None
+        assert other is not None
+        assert (one & other).sum() > 0.7 * (one | other).sum()
