@@ -100,7 +100,7 @@ class PoseFile:
         name = Path(image_path).name
         same = [known for known in self.panoramas if known.lower() == name.lower()]
         near = same or difflib.get_close_matches(name, self.panoramas, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else "add an entry for it"
+        hint = f"did you mean '{near[0]}'?" if near else "add one, or have poses found (--poses auto)"
         raise PoseError(
             f"{self.path}: expected an entry for '{name}', got {listed(self.panoramas, MAX_LISTED_NAMES)}; {hint}"
         )
