@@ -11,7 +11,7 @@ from omnisyn_cli.cli.terminal import printable
 SECTIONS: Mapping[str, str] = {
     "Input": "every poses baseline refine masks nadir nadir_fill allow_outside allow_aspect upper_half hfov vfov "
     "horizon view_transform max_pixels",
-    "Output": "output frames duration fps size format view views stereo codec crf encoder_preset texture lossless "
+    "Output": "output frames duration fps size format views stereo codec crf encoder_preset texture lossless "
     "folder serve is_opened stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
     "Camera": "ease heading fov look",
@@ -22,10 +22,10 @@ SECTIONS: Mapping[str, str] = {
 """Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last."""
 
 RARE_OPTIONS = (
-    "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform",
+    "refine", "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform",
     "max_pixels", "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
     "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
-    "method", "renderer", "fusion", "adaptive",
+    "fov", "look", "method", "renderer", "fusion", "adaptive",
 )  # fmt: skip
 """Parameters that only ``--help-all`` lists."""
 
