@@ -39,7 +39,8 @@ class Target:
 
 def targets() -> dict[str, Callable[[], Target]]:
     """Makers of all targets by name."""
-    images = {f"image {suffix}": partial(_image, suffix) for suffix in ("png", "jpg", "tif", "exr", "webp")}
+    images = {f"image {suffix}": partial(_image, suffix) for suffix in ("png", "jpg", "tif", "exr", "webp", "gif")}
+    meshes = {f"mesh {suffix}": partial(_mesh, suffix) for suffix in ("obj", "glb", "ply")}
     foreign = {f"poses {name}": partial(_foreign, name) for name in FOREIGN}
     return {
         "poses.json": _poses,
@@ -52,6 +53,12 @@ def targets() -> dict[str, Callable[[], Target]]:
         "batch csv": partial(_batch, "csv"),
         "batch results": _batch_results,
         "eval results": _eval_results,
+        "image avif": _avif,
+        "request of serve": _request,
+        "spherical mp4": _spherical,
+        "recipe toml": _recipe,
+        "table of costs": _costs,
+        **meshes,
         **foreign,
     }
 
@@ -283,6 +290,84 @@ def _eval_results() -> Target:
     return Target({"results.jsonl": data}, ("results.jsonl",), read)
 
 
+def _avif() -> Target:
+    from io import BytesIO
+
+    from PIL import Image
+
+    from omnisyn_cli.io import read_panorama
+
+    data = BytesIO()
+    Image.fromarray(np.arange(32 * 16 * 3, dtype=np.uint8).reshape(16, 32, 3)).save(data, "avif")
+    read = partial(read_panorama, max_pixels=MAX_PIXELS)
+    return Target({"a.avif": data.getvalue()}, ("a.avif",), lambda folder: read(folder / "a.avif"))
+
+
+def _request() -> Target:
+    """Bytes that a client sends; what is answered is of the walk, and no exception is printed by the server."""
+    from io import BytesIO
+    from types import SimpleNamespace
+
+    from omnisyn_cli.interpolation.viewer import serve
+
+    request = (
+        b"GET /index.html?x=%00 HTTP/1.1\r\nHost: localhost:8000\r\nAccept: */*\r\n\r\n"
+        b"GET /0000.bin HTTP/1.1\r\nHost: 127.0.0.1\r\nRange: bytes=0-1\r\n\r\n"
+    )
+
+    def read(folder: Path) -> None:
+        answer = BytesIO()
+        connection = SimpleNamespace(
+            makefile=lambda *_: BytesIO((folder / "request").read_bytes()),
+            sendall=answer.write, settimeout=lambda _: None,
+        )  # fmt: skip
+        serve._Handler(connection, ("127.0.0.1", 1), None, folder=folder)
+        assert b"secret" not in answer.getvalue()
+        assert b"Python" not in answer.getvalue()
+
+    files = {"request": request, "index.html": b"<p>", "0000.bin": b"\x00", "secret.bin": b"secret"}
+    return Target(files, ("request",), read)
+
+
+def _spherical() -> Target:
+    from omnisyn_cli.io import open_video, read_spherical
+
+    def write(path: Path) -> None:
+        with open_video(path, size=(16, 32), fps=10) as sink:
+            sink.write(np.zeros((16, 32, 3), np.uint8))
+
+    return Target({"a.mp4": _bytes_of(write, "a.mp4")}, ("a.mp4",), lambda folder: read_spherical(folder / "a.mp4"))
+
+
+def _recipe() -> Target:
+    from omnisyn_cli.training.recipe import read_recipe
+
+    shipped = sorted((Path(__file__).parents[2] / "models" / "recipes").glob("*.toml"))[0]
+    return Target({"a.toml": shipped.read_bytes()}, ("a.toml",), lambda folder: read_recipe(folder / "a.toml"))
+
+
+def _costs() -> Target:
+    from omnisyn_cli.interpolation.planning import figures
+
+    data = Path(figures.__file__).with_name("pareto.json").read_bytes()
+    return Target({"a.json": data}, ("a.json",), lambda folder: figures.read_table(folder / "a.json"))
+
+
+def _mesh(suffix: str) -> Target:
+    """A textured box."""
+    import trimesh
+
+    from omnisyn_cli.io.meshes import read_mesh
+
+    box = trimesh.creation.box((4.0, 3.0, 5.0))
+    colours = np.full((len(box.vertices), 4), 200, np.uint8)
+    box.visual = trimesh.visual.ColorVisuals(box, vertex_colors=colours)
+    data = box.export(file_type=suffix)
+    name = f"a.{suffix}"
+    content = data.encode() if isinstance(data, str) else bytes(data)
+    return Target({name: content}, (name,), lambda folder: read_mesh(folder / name))
+
+
 def _foreign(name: str) -> Target:
     from omnisyn_cli.poses.formats import ImportOptions, import_poses
 
@@ -294,6 +379,18 @@ def _foreign(name: str) -> Target:
         import_poses([folder / source], "auto", ImportOptions())
 
     return Target(files, broken, read)
+
+
+CAMERAS_BIN = struct.pack("<QIiQQddd", 1, 1, 11, 64, 32, 10.0, 32.0, 16.0)
+"""One camera of SphereSfM."""
+
+
+def _images_bin() -> bytes:
+    images = (
+        struct.pack("<I7dI", n, 1, 0, 0, 0, 0.5 * n, 0, 1, 1) + name + b"\0" + struct.pack("<Qddq", 1, 3.0, 4.0, -1)
+        for n, name in ((1, b"a.png"), (2, b"b.png"))
+    )
+    return struct.pack("<Q", 2) + b"".join(images)
 
 
 def _authors() -> dict[str, bytes]:
@@ -342,6 +439,7 @@ FOREIGN: dict[str, tuple[str, dict[str, bytes] | Callable[[], dict[str, bytes]]]
         "cameras.txt": b"1 EQUIRECTANGULAR 64 32 64 32\n", "a.png": b"",
         "images.txt": b"# list\n1 1 0 0 0 0.5 0 0 1 a.png\n\n2 0.6 0.8 0 0 1.5 0 -2 1 b.png\n1 2 -1\n",
     }),
+    "colmap binary": (".", lambda: {"cameras.bin": CAMERAS_BIN, "images.bin": _images_bin(), **NAMED}),
     "opensfm": ("reconstruction.json", {"reconstruction.json": _json([RECONSTRUCTION])}),
     "nerfstudio": ("transforms.json", {"transforms.json": _json(TRANSFORMS)}),
     "tum": ("track.tum", {

@@ -75,7 +75,9 @@ def _lines_of_worker(seed: int, todo: dict[str, tuple[int, int]]) -> Iterator[st
     worker = subprocess.Popen(
         [sys.executable, str(HERE / "fuzz_worker.py"), str(seed), *work],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"},
+        env={
+            **os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore,error::RuntimeWarning",
+        },
     )  # fmt: skip
     try:
         yield from _lines(worker)

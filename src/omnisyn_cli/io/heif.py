@@ -29,7 +29,9 @@ def png_of(path: Path, *, with_pixels: bool) -> Iterator[tuple[Path, tuple[int, 
         png = Path(folder) / "picture.png"
         try:
             width, height = _write_png(path, png, with_pixels)
-        except (OSError, ValueError, SyntaxError, EOFError) as error:
+        except (ImageError, MemoryError):
+            raise
+        except Exception as error:  # of Pillow and its plugins, of many kinds
             reason = " ".join(str(error).split())
             raise ImageError(
                 f"{path}: expected a complete image, got '{reason:.200}'; the file is damaged, copy or export it anew"

@@ -8,6 +8,7 @@ in ``scene_textures`` two folders up.
 """
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -68,16 +69,19 @@ def read_mesh(path: Path, scale: float = 1.0, *, z_up: bool = False) -> Textured
 
 
 def _checked(mesh: TexturedMesh, path: Path, scale: float) -> TexturedMesh:
-    vertices = (mesh.vertices * np.float32(scale)).astype(np.float32)
-    corners = vertices[mesh.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    kept = np.isfinite(corners).all(axis=(1, 2)) & (area > MIN_AREA)
+    if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+        raise InputError(f"expected triangles of the vertices of {path}, found others; export it again")
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
+        vertices = (mesh.vertices * np.float32(scale)).astype(np.float32)
+        corners = vertices[mesh.faces]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    kept = np.isfinite(corners).all(axis=(1, 2)) & np.isfinite(area) & (area > MIN_AREA)
     if not kept.any():
         raise InputError(f"expected triangles in {path}, found none that have an area; export it again")
     if kept.sum() > MAX_FACES:
         raise InputError(f"expected at most {MAX_FACES:,} triangles in {path}, got {kept.sum():,}; simplify it")
     seen = corners[kept].reshape(-1, 3)
-    extent = float(np.linalg.norm(np.percentile(seen, 99, axis=0) - np.percentile(seen, 1, axis=0)))
+    extent = math.dist(np.percentile(seen, 99, axis=0), np.percentile(seen, 1, axis=0))
     if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
         raise InputError(
             f"expected a room or a street in {path}, got a mesh of {extent:.3g} m; is it in other units? Use --scale"

@@ -189,7 +189,8 @@ def checked_rotation(
     Messages begin with ``where``, call it ``kind`` and end with what to do about scale and shear, or a mirror image.
     PoseError: scale, shear, a mirror image, NaN.
     """
-    deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    with np.errstate(over="ignore", invalid="ignore"):  # giant numbers are refused as well
+        deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if not deviation <= UNIT_TOLERANCE:
         raise PoseError(f"{where}: expected {kind} (RᵀR = 1), got a deviation of {deviation:.3g}; {unscaled}")
     if np.linalg.det(matrix) < 0:

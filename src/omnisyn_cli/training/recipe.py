@@ -113,11 +113,11 @@ def read_recipe(path: Path) -> Recipe:
         stages = tuple(Stage(**stage) for stage in values.pop("stages", []))
         lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
         recipe = Recipe(stages=stages, **(values | lists))
+        _check(recipe, path)
     except FileNotFoundError:
         raise InputError(f"expected a recipe at {path}, found no file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, TypeError) as error:
+    except (OSError, ValueError, TypeError, RecursionError) as error:  # of TOML, UTF-8, and of kinds of values
         raise InputError(f"expected a recipe in {path}, got '{error!s:.160}'") from error
-    _check(recipe, path)
     return recipe
 
 

@@ -49,6 +49,9 @@ POINT_BYTES = 24
 MAX_NAME_BYTES = 4096
 """Longer names are no file's."""
 
+MAX_DIGITS = 20
+"""Of the greatest number of 64 bits."""
+
 SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
 """Numbers of the words in text."""
 
@@ -164,7 +167,10 @@ class _Bytes:
 
     def skip(self, count: int) -> None:
         """Pass over so many bytes."""
-        self._file.seek(count, 1)
+        try:
+            self._file.seek(count, 1)
+        except (OSError, ValueError) as error:  # more than any file has
+            raise PoseError(f"{self.where}: expected more bytes, got the end of the file; copy it anew") from error
 
 
 def _pose(source: _Words | _Bytes) -> Pose:
@@ -245,7 +251,7 @@ def _lines(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
 def _camera_models(path: Path) -> Iterator[tuple[int, str]]:
     for number, line in data_lines(path):
         fields = line.split()
-        if len(fields) < 4 or not fields[0].isdecimal():
+        if len(fields) < 4 or not _is_number(fields[0]):
             raise PoseError(f"{path}:{number}: expected CAMERA_ID MODEL WIDTH HEIGHT, got '{line:.60}'; correct it")
         yield int(fields[0]), fields[1].upper()
 
@@ -254,11 +260,16 @@ def _text_images(path: Path) -> Iterator[tuple[int, Image]]:
     for number, line in _image_lines(path):
         where = f"{path}:{number}"
         fields = line.split(maxsplit=9)
-        if len(fields) != 10 or not (fields[0].isdecimal() and fields[8].isdecimal()):
+        if len(fields) != 10 or not (_is_number(fields[0]) and _is_number(fields[8])):
             raise PoseError(f"{where}: expected {HEADER}, got {len(fields)} fields; correct the line")
         values = numbers(where, fields[1:8], 7, "QW QX QY QZ TX TY TZ")
         pose = Pose(checked_quaternion(where, values[:4]), values[4:])
         yield int(fields[0]), Image(where, fields[9].strip(), int(fields[8]), pose)
+
+
+def _is_number(word: str) -> bool:
+    """Whether a word is a number that something may have."""
+    return word.isdecimal() and len(word) <= MAX_DIGITS
 
 
 def _image_lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -64,7 +64,7 @@ def pose_on_floor(panorama: Panorama, metres: float) -> Pose:
     x, y = similarity.translation
     height = panorama.camera_height * similarity.scale
     rotation = rotation_from_heading(math.radians(similarity.rotation))
-    return Pose(rotation, metres * np.array([-x, height, -y]))
+    return Pose(rotation, np.array([metres * -x, metres * height, metres * -y]))
 
 
 def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
