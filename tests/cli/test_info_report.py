@@ -4,10 +4,12 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cli.cli_samples import Omnisyn
 from interpolation_samples import edit_poses
+from omnisyn_cli.io import read_panorama, write_image
 
 ROOM = Path(__file__).parents[2] / "examples" / "room"
 
@@ -16,9 +18,12 @@ SECOND = "<b>&'.jpg"
 
 @pytest.fixture
 def room(tmp_path: Path) -> list[Path]:
-    """Photographs of a room, and poses that turn the second one by some degrees too many."""
-    for name, copy in (("first.jpg", "first.jpg"), ("second.jpg", SECOND), ("poses.json", "poses.json")):
-        shutil.copy(ROOM / name, tmp_path / copy)
+    """Photographs of a room at half their size, and their poses."""
+    shutil.copy(ROOM / "poses.json", tmp_path)
+    for name, copy in (("first.jpg", "first.jpg"), ("second.jpg", SECOND)):
+        image = read_panorama(ROOM / name).original
+        assert image is not None
+        write_image(tmp_path / copy, np.ascontiguousarray(image[::2, ::2]))
     edit_poses(tmp_path, lambda panoramas: panoramas.update({SECOND: panoramas.pop("second.jpg")}))
     return [tmp_path / "first.jpg", tmp_path / SECOND]
 

@@ -65,6 +65,8 @@ def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) ->
         raise click.UsageError(f"expected one pose file with --report, got {len(named['poses'])}; name one")
     poses = (*named["poses"], POSES_FROM_PICTURES)[0]
     with shown_stages(is_quiet=False) as stages, while_timing(stages.time):
+        if poses == POSES_FROM_PICTURES:
+            stages.show("poses")
         plan = write_pair_report(TourJob(named["panorama"], poses, report, **options))
         for note in plan.notes:
             stages.note(f"note: {note}")

@@ -80,7 +80,7 @@ def _kinds(diagnosis: PairDiagnosis) -> list[str]:
     """What each match agrees with, as a class of the page."""
     estimate = diagnosis.diagnosis.estimate
     agrees = np.zeros(len(diagnosis.matches), bool) if estimate is None else estimate.inliers
-    return np.select([diagnosis.fits, agrees], ["fits", "contradicts"], "mismatch").tolist()
+    return [str(kind) for kind in np.select([diagnosis.fits, agrees], ["fits", "contradicts"], "mismatch")]
 
 
 def _places(directions: Float[np.ndarray, "n 3"]) -> Iterator[tuple[float, float]]:
@@ -117,7 +117,7 @@ def _depth(surface: PanoramaSurface) -> dict[str, str]:
 def _reduced(values: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "rows cols"]:
     """Shares as samples of 8 bits, at the width of the page."""
     size = (PICTURE_COLUMNS, PICTURE_COLUMNS // 2)
-    return np.rint(255.0 * cv2.resize(values, size, interpolation=cv2.INTER_AREA)).astype(np.uint8)
+    return np.asarray(np.rint(255.0 * cv2.resize(values, size, interpolation=cv2.INTER_AREA)), np.uint8)
 
 
 def _jpeg(samples: UInt8[np.ndarray, "rows cols *channels"]) -> str:
