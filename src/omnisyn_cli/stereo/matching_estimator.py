@@ -14,6 +14,7 @@ from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
+from omnisyn_cli.stereo.costs import is_textured
 from omnisyn_cli.stereo.disparity import (
     EPIPOLE_NO_INFINITY_DEG,
     DisparityMap,
@@ -36,6 +37,13 @@ __all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptio
 
 INCONSISTENT_MATCH_WEIGHT = 0.002
 """Weight in filling of a disparity that only one direction found, against 1 for a consistent one; chosen by eye."""
+
+UPRIGHT_SINE = 0.1
+"""Sine of the tilt (6°) up to which a fitted plane is a wall that says how the room is turned."""
+
+STEEP_SINE, NARROW_MATCHED_SHARE = 0.26, 0.6
+"""A pair is narrow if matches are consistent in 60 % of the texture that is 15° or more below the horizon, and above.
+Walks of 1 m through generated rooms and streets are, walks of 3 m are not."""
 
 SAME_PLANE_TOLERANCE = 0.03
 """Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity."""
@@ -129,11 +137,34 @@ def _find_planes(
         return first, second
     points = both(*(partial(_plane_points, pair, each) for pair, each in zip(pairs, matches, strict=True)))
     fitted = find_planes(points, pairs[0].grid.up, max_planes=options.max_planes, min_support=options.min_plane_support)
-    swept = sweep_planes(*pairs)
+    swept = (
+        np.zeros((0, 3)) if _is_narrow(pairs, matches) else sweep_planes(*pairs, _sweep_axes(pairs[0].grid.up, fitted))
+    )
     different = [normal for normal in fitted if not any(_is_same_plane(normal, each) for each in swept)]
     normals = np.concatenate([swept, np.reshape(different, (-1, 3))])
     seen = planes_from_second(normals)
     return normals, seen[np.isfinite(seen).all(axis=-1)]
+
+
+def _sweep_axes(up: np.ndarray, fitted: Planes) -> Float[np.ndarray, "axes 3"]:
+    """Up, and the two level axes that the best supported wall is across and along, if there is any."""
+    upright = [normal for normal in fitted if abs(normal @ up) < UPRIGHT_SINE * np.linalg.norm(normal)]
+    if not upright:
+        return up[None]
+    level = upright[0] - (upright[0] @ up) * up
+    level = level / np.linalg.norm(level)
+    return np.stack([up, level, np.cross(up, level)])
+
+
+def _is_narrow(pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap]) -> bool:
+    """Whether matching sees enough of ground and ceiling, so that no sweep has to."""
+    for pair, each in zip(pairs, matches, strict=True):
+        weight = np.sin(pair.grid.polar_angle) * (is_textured(pair.first) & pair.first_usable)
+        for side in (-1.0, 1.0):
+            around = weight * (side * pair.grid.sin_elevation > STEEP_SINE)
+            if (around * each.valid).sum() < NARROW_MATCHED_SHARE * around.sum():
+                return False
+    return True
 
 
 def _is_canonical(pair: RectifiedPair) -> bool:

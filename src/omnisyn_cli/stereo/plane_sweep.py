@@ -11,13 +11,18 @@ Source: Gallup et al., Real-time plane-sweeping stereo with multiple sweeping di
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8, UInt64
+from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt64
 
+from omnisyn_cli.compute.jit import kernel
+from omnisyn_cli.compute.threads import at_most, both, run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.plane_fitting import (
@@ -27,12 +32,15 @@ from omnisyn_cli.stereo.plane_fitting import (
     fit_to_inliers,
     planes_from_second,
 )
-from omnisyn_cli.stereo.rectify import RectifiedPair
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
 __all__ = ["SweepDirection", "sweep_planes"]
 
-SWEEP_ROWS = 128
-"""Rows of the images that are swept. At twice as many the same planes are found in four times the time."""
+T = TypeVar("T")
+
+MIN_SWEEP_ROWS = 64
+"""Half of the rows of a pair are swept, but no fewer than these. All rows find the same planes in four times the
+time."""
 
 NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES = 0.08, 4.0
 """Of swept planes from the first camera, in baselines. Farther ones are matched well enough by upright windows."""
@@ -52,7 +60,7 @@ EXPLAINED_COST = 0.2
 SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION = 0.3, 0.1
 """As ``colour_weight`` and ``colour_truncation`` of matching; less of the first, because exposures may differ."""
 
-MAX_SWEPT_PLANES = 4
+MAX_SWEPT_PLANES = 6
 """Per pair; the next ones explained less than a hundredth of the sphere on generated scenes."""
 
 PEAK_HALF_WIDTH = 4
@@ -72,7 +80,7 @@ SLOPE_WINDOW, MIN_SLOPE_SCORE, MIN_SLOPE_SUPPORT = 9, 0.04, 0.05
 (level windows hardly match on a slope), and a twentieth of them has to agree."""
 
 MIN_SLOPE_COSINE = 0.94
-"""Cosine of the steepest slope of ground (20°)."""
+"""Cosine of the greatest angle (20°) between a plane and the axis that it was found along: ground slopes less."""
 
 COST_WINDOW = 5
 """Side in pixels of the window in which costs are averaged before the best row is taken."""
@@ -97,12 +105,12 @@ class SweepDirection:
 
     def disparity(self, normals: Float[np.ndarray, "planes 3"]) -> Float32[np.ndarray, "height width"]:
         """Rows for the nearest of some planes; −1 where no ray meets one steeply enough and where is no texture."""
-        inverse_depth = np.full(self.pair.size, -1.0)
-        for normal in normals:
-            along = self.pair.grid.directions @ normal
-            is_met = along > MIN_INCIDENCE_SINE * np.linalg.norm(normal)
-            inverse_depth = np.where(is_met, np.maximum(along, inverse_depth), inverse_depth)
-        return self.pair.grid.disparity(np.where(self.weight > 0, inverse_depth, -1.0))
+        grid = self.pair.grid
+        disparity = np.empty(self.pair.size, np.float32)
+        least = MIN_INCIDENCE_SINE * np.linalg.norm(normals, axis=-1)
+        fill = partial(_plane_disparity_rows, grid.directions, grid.polar_angle, self.weight, normals, least, disparity)
+        run_ranges(fill, len(disparity))
+        return disparity
 
     def cost(self, disparity: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
         """Matching cost of a surface; 1 where its disparity is negative."""
@@ -136,8 +144,53 @@ class SweepDirection:
 Directions = tuple[SweepDirection, SweepDirection]
 
 
-def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> Float[np.ndarray, "planes 3"]:
-    """Horizontal planes below and above the cameras that both panoramas see, best supported first.
+@kernel()
+def _plane_disparity_rows(  # type: ignore[no-untyped-def]
+    directions, polar_angle, weight, normals, least, disparity, begin, end
+):
+    """Fills some rows of ``disparity``, see :meth:`SweepDirection.disparity`.
+
+    Args:
+        directions: unit vectors of the pixels.
+        polar_angle: of the rows.
+        weight: 0 where nothing is compared.
+        normals: of the planes.
+        least: inverse depth of each plane where rays graze it.
+        disparity: written.
+        begin: first row.
+        end: the row after the last.
+    """
+    height, width = disparity.shape
+    for row in range(begin, end):
+        sine, cosine = math.sin(polar_angle[row, 0]), math.cos(polar_angle[row, 0])
+        for col in range(width):
+            disparity[row, col] = -1.0
+            if weight[row, col] <= 0:
+                continue
+            x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
+            nearest = -1.0
+            for k in range(len(normals)):
+                inverse_depth = normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z
+                if inverse_depth > least[k]:
+                    nearest = max(nearest, inverse_depth)
+            if nearest >= 0:
+                disparity[row, col] = math.atan2(nearest * sine, 1.0 - nearest * cosine) * (height / math.pi)
+
+
+def _in_each(directions: Directions, work: Callable[[int, SweepDirection], T]) -> tuple[T, T]:
+    """``work`` on both images at the same time: a thread each, as small images are not worth sharing."""
+
+    def alone(which: int) -> T:
+        with at_most(1):
+            return work(which, directions[which])
+
+    return both(partial(alone, 0), partial(alone, 1))
+
+
+def sweep_planes(
+    pair: RectifiedPair, reverse: RectifiedPair, axes: Float[np.ndarray, "axes 3"]
+) -> Float[np.ndarray, "planes 3"]:
+    """Planes across some axes, on either side of the cameras, that both panoramas see; best supported first.
 
     Each is a normal in the frame of the pair, as long as the inverse distance of its plane from the first camera
     (1/baselines).
@@ -145,62 +198,73 @@ def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> Float[np.ndarra
     Args:
         pair: of any size.
         reverse: the same, reversed.
+        axes: unit vectors, up first: floors and ceilings are across it, walls across level ones.
     """
-    rows = min(SWEEP_ROWS, pair.size[0])
+    rows = max(pair.size[0] // 2, min(MIN_SWEEP_ROWS, pair.size[0]))
     small = pair.resized((rows, 2 * rows))
     coarse = SweepDirection(small), SweepDirection(small.reversed())
     fine = SweepDirection(pair), SweepDirection(reverse)
-    planes = [_fit(fine, _fit(coarse, normal, COARSE_FITS), FINE_FITS) for normal in _greedy_planes(coarse)]
+    found = _greedy_planes(coarse, axes)
+    fitted = [_fit(fine, _fit(coarse, normal, COARSE_FITS), FINE_FITS) for normal in found]
+    planes = [after for before, after in zip(found, fitted, strict=True) if _is_nearly_parallel(before, after)]
     return np.array(planes).reshape(-1, 3)
 
 
+def _is_nearly_parallel(normal: np.ndarray, other: np.ndarray) -> bool:
+    return bool(normal @ other > MIN_SLOPE_COSINE * np.linalg.norm(normal) * np.linalg.norm(other))
+
+
 @dataclass(frozen=True)
-class LevelSweep:
-    """How well each pixel fits level planes at some distances: below the horizon planes below the camera, else above.
+class AxisSweep:
+    """How well each pixel fits planes across an axis: those behind the camera where it looks back, else those before.
 
     Attributes:
         directions: the images that were swept.
+        axis: unit vector in the frame of the pair.
         distances: of the planes from the first camera, in baselines.
         scores: ``(2, distances, pixels)``: 255 times ``1 − cost / GOOD_COST``, at least 0.
     """
 
     directions: Directions
+    axis: Float[np.ndarray, " 3"]
     distances: Float[np.ndarray, " distances"]
     scores: UInt8[np.ndarray, "2 distances pixels"]
 
     @staticmethod
-    def of(directions: Directions) -> LevelSweep:
-        """The sweep of both images."""
+    def of(directions: Directions, axis: Float[np.ndarray, " 3"]) -> AxisSweep:
+        """The sweep of both images along an axis."""
         distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
-        up = directions[0].pair.grid.up
-        scores = np.zeros((2, len(distances), directions[0].weight.size), np.uint8)
-        for k, distance in enumerate(distances):
-            normals = np.stack([-up, up]) / distance
-            seen = normals, planes_from_second(normals)  # a plane that is not seen is NaN and met by no ray
-            for direction, each, out in zip(directions, seen, scores[:, k], strict=True):
-                out[:] = 255.0 * _scores(direction, each).ravel()
-        return LevelSweep(directions, distances, scores)
 
-    def weights(self, side: int) -> list[Float32[np.ndarray, " pixels"]]:
-        """Of the pixels below (0) or above (1) the horizon, for both images."""
-        sign = 2 * side - 1
-        return [each.weight.ravel() * (sign * each.pair.grid.sin_elevation.ravel() > 0) for each in self.directions]
+        def scores(which: int, direction: SweepDirection) -> UInt8[np.ndarray, "distances pixels"]:
+            found = np.empty((len(distances), direction.weight.size), np.uint8)
+            for k, distance in enumerate(distances):
+                normals = np.stack([-axis, axis]) / distance
+                # A plane that the second camera does not see is NaN and met by no ray.
+                found[k] = 255.0 * _scores(direction, planes_from_second(normals) if which else normals).ravel()
+            return found
 
-    def totals(self, weights: list[np.ndarray]) -> Float[np.ndarray, "2 distances"]:
-        """Share of the textured sphere that each plane explains, in both images."""
-        # einsum sums in one order, whatever the number of threads; a matrix product does not
-        pairs = zip(self.scores, weights, strict=True)
-        return np.stack([np.einsum("dp,p->d", scores, weight) / 255.0 for scores, weight in pairs])
+        return AxisSweep(directions, axis, distances, np.stack(_in_each(directions, scores)))
+
+    def half(self, side: int) -> list[Bool[np.ndarray, " pixels"]]:
+        """The pixels of both images that look against the axis (0) or along it (1)."""
+        axes = self.axis, HALF_TURN_ABOUT_Z @ self.axis
+        pairs = zip(self.directions, axes, strict=True)
+        return [((2 * side - 1) * (each.pair.grid.directions @ axis) > 0).ravel() for each, axis in pairs]
+
+    def totals(self, side: int) -> Float[np.ndarray, "2 distances"]:
+        """Share of the textured sphere that each plane on a side explains, in both images."""
+        weights = [each.weight.ravel() * mask for each, mask in zip(self.directions, self.half(side), strict=True)]
+        return np.stack([_weighted_sum(scores, weight) for scores, weight in zip(self.scores, weights, strict=True)])
 
     def best_points(self, which: int) -> PlanePoints:
-        """Every textured pixel below the horizon at the distance that fits best around it, within a step."""
+        """Every textured pixel that looks against the axis at the distance that fits best around it, within a step."""
         direction = self.directions[which]
         grid = direction.pair.grid
         scores = np.ascontiguousarray(self.scores[which].reshape(-1, *direction.pair.size).transpose(1, 2, 0))
         average = partial(cv2.blur, ksize=(SLOPE_WINDOW, SLOPE_WINDOW))
         around = filter_across_seam(average, scores, SLOPE_WINDOW)
         row, col = np.nonzero((around.max(axis=-1) > 255 * MIN_SLOPE_SCORE) & (direction.weight > 0))
-        down = -grid.up[None] / self.distances[:, None]
+        down = -self.axis / self.distances[:, None]
         inverse_distance = np.linalg.norm(planes_from_second(down) if which else down, axis=-1)
         best = inverse_distance[around[row, col].argmax(axis=-1)]
         inverse_depth = -grid.sin_elevation[row, col] * best
@@ -217,24 +281,60 @@ def _scores(direction: SweepDirection, normals: Float[np.ndarray, "planes 3"]) -
     return np.asarray(np.maximum(1.0 - direction.cost(direction.disparity(normals)) / GOOD_COST, 0.0))
 
 
-def _greedy_planes(directions: Directions) -> list[np.ndarray]:
+class HalfSweep(NamedTuple):
+    """The planes of a sweep on one side of the cameras.
+
+    Attributes:
+        sweep: they are part of.
+        side: 0 where pixels look against the axis, 1 along it.
+        mask: the pixels of both images that do.
+        totals: what each plane explains of what is not explained yet.
+        is_open: distances that may still be found.
+    """
+
+    sweep: AxisSweep
+    side: int
+    mask: list[Bool[np.ndarray, " pixels"]]
+    totals: Float[np.ndarray, "2 distances"]
+    is_open: Bool[np.ndarray, " distances"]
+
+    def remove(self, which: int, pixels: Int[np.ndarray, " pixels"], weight: Float[np.ndarray, " pixels"]) -> None:
+        """Pixels of one image that have been explained."""
+        chosen = self.mask[which][pixels]
+        self.totals[which] -= _weighted_sum(self.sweep.scores[which][:, pixels[chosen]], weight[chosen])
+
+
+def _weighted_sum(scores: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, " distances"]:
+    # einsum sums in one order, whatever the number of threads; a matrix product does not
+    return np.asarray(np.einsum("dp,p->d", scores, weight) / 255.0)
+
+
+def _greedy_planes(directions: Directions, axes: np.ndarray) -> list[np.ndarray]:
     """The planes that explain most, one after the other, each of what those before it leave unexplained."""
-    sweep = LevelSweep.of(directions)
-    up = directions[0].pair.grid.up
-    weights = [sweep.weights(side) for side in (0, 1)]
-    is_open = np.ones((2, len(sweep.distances)), bool)
+    sweeps = [AxisSweep.of(directions, axis) for axis in axes]
+    weights = [direction.weight.ravel().copy() for direction in directions]
+    halves = [
+        HalfSweep(sweep, side, sweep.half(side), sweep.totals(side), np.ones(len(sweep.distances), bool))
+        for sweep in sweeps
+        for side in (0, 1)
+    ]
     found: list[np.ndarray] = []
     while len(found) < MAX_SWEPT_PLANES:
-        peaks = [_peak(sweep.totals(weights[side]) * is_open[side]) for side in (0, 1)]
-        excess, at, side = max((*peak, k) for k, peak in enumerate(peaks))
+        peaks = [_peak(half.totals * half.is_open) for half in halves]
+        excess, at, best = max((*peak, k) for k, peak in enumerate(peaks))
         if excess < MIN_PEAK_EXCESS:
             break
-        found.append((2 * side - 1) * up / sweep.distances[at])
-        for weight, scores in zip(weights[side], sweep.scores, strict=True):
-            weight[scores[at - 1 : at + 2].max(axis=0) > 255 * (1.0 - EXPLAINED_COST / GOOD_COST)] = 0.0
-        is_open[side, max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = False
-    has_floor = any(normal @ up < 0 for normal in found)
-    return found if has_floor else [*_sloped_ground(sweep), *found]
+        sweep, side, mask, _, is_open = halves[best]
+        found.append((2 * side - 1) * sweep.axis / sweep.distances[at])
+        is_open[max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = False
+        for which, weight in enumerate(weights):
+            scores = sweep.scores[which, at - 1 : at + 2].max(axis=0)
+            explained = np.flatnonzero((weight > 0) & mask[which] & (scores > 255 * (1.0 - EXPLAINED_COST / GOOD_COST)))
+            for half in halves:
+                half.remove(which, explained, weight[explained])
+            weight[explained] = 0.0
+    has_floor = any(_is_nearly_parallel(-axes[0], normal) for normal in found)
+    return found if has_floor else [*_sloped_ground(sweeps[0]), *found]
 
 
 def _peak(totals: Float[np.ndarray, "2 distances"]) -> tuple[float, int]:
@@ -250,14 +350,14 @@ def _peak(totals: Float[np.ndarray, "2 distances"]) -> tuple[float, int]:
     return float(excess[at]), at
 
 
-def _sloped_ground(sweep: LevelSweep) -> list[np.ndarray]:
+def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
     """The ground where it slopes too much to be a peak of level planes: fitted to the best level plane of each pixel.
 
     It counts by the rule for peaks.
     """
-    up = sweep.directions[0].pair.grid.up
+    up = sweep.axis
     points = sweep.best_points(0), sweep.best_points(1)
-    median = np.median(sweep.totals(sweep.weights(0)), axis=1)
+    median = np.median(sweep.totals(0), axis=1)
     for proposal in find_planes(points, up, max_planes=MAX_SWEPT_PLANES, min_support=MIN_SLOPE_SUPPORT):
         normal = _fit(sweep.directions, proposal, COARSE_FITS)
         seen = normal[None], planes_from_second(normal[None])
@@ -266,8 +366,7 @@ def _sloped_ground(sweep: LevelSweep) -> list[np.ndarray]:
             for direction, each in zip(sweep.directions, seen, strict=True)
         ]
         excess, ratio = min(totals - median), min(totals / np.maximum(median, 1e-4))
-        is_steep = -(normal @ up) < MIN_SLOPE_COSINE * np.linalg.norm(normal)
-        if not is_steep and excess > MIN_PEAK_EXCESS and ratio > MIN_PEAK_RATIO:
+        if _is_nearly_parallel(-up, normal) and excess > MIN_PEAK_EXCESS and ratio > MIN_PEAK_RATIO:
             return [normal]
     return []
 
@@ -275,9 +374,12 @@ def _sloped_ground(sweep: LevelSweep) -> list[np.ndarray]:
 def _fit(directions: Directions, normal: Float[np.ndarray, " 3"], times: int) -> Float[np.ndarray, " 3"]:
     """The plane fitted again and again to where the pixels of both panoramas match best that it shows."""
     for _ in range(times):
-        normals = normal, planes_from_second(normal[None])[0]
-        equations = PlaneEquations.of(
-            *(direction.matched_points(each) for direction, each in zip(directions, normals, strict=True))
-        )
-        normal = fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool))
+        normal = _fit_once(directions, normal, planes_from_second(normal[None])[0])
     return normal
+
+
+def _fit_once(directions: Directions, normal: np.ndarray, from_second: np.ndarray) -> Float[np.ndarray, " 3"]:
+    normals = normal, from_second
+    points = _in_each(directions, lambda which, direction: direction.matched_points(normals[which]))
+    equations = PlaneEquations.of(*points)
+    return fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool))
