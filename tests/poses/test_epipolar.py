@@ -14,7 +14,7 @@ from omnisyn_cli.poses.registration.least_squares import (
     relative_pose,
     rotation_error,
 )
-from omnisyn_cli.poses.registration.robust import essential_candidates, poses_of_essential
+from omnisyn_cli.poses.registration.minimal_solvers import essential_candidates, poses_of_essential
 
 seeds = pytest.mark.parametrize("seed", range(8))
 

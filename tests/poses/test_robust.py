@@ -14,7 +14,7 @@ from omnisyn_cli.poses.registration.least_squares import (
     rotation_error,
     uncertainty,
 )
-from omnisyn_cli.poses.registration.robust import MIN_INLIERS, estimate_relative_pose, inlier_threshold
+from omnisyn_cli.poses.registration.robust import MIN_MATCHES, estimate_relative_pose, inlier_threshold
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.6])
@@ -65,7 +65,7 @@ def test_noise_alone_has_no_pose():
     rng = np.random.default_rng(2)
     noise = Matches(unit(rng.normal(size=(300, 3))), unit(rng.normal(size=(300, 3))), PIXEL)
     assert estimate_relative_pose(noise) is None
-    assert estimate_relative_pose(noise.select(np.arange(MIN_INLIERS - 1))) is None
+    assert estimate_relative_pose(noise.select(np.arange(MIN_MATCHES - 1))) is None
     assert estimate_relative_pose(noise.select(np.arange(0))) is None
 
 

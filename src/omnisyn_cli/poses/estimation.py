@@ -4,32 +4,49 @@ Pairs are taken in the order of the panoramas; every picture is read once. What 
 the distance between two panoramas, and how the first one was held.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
 
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector, rotation_taking
+from omnisyn_cli.geometry.sphere import FORWARD, UP, normalize
 from omnisyn_cli.io import MAX_PIXELS, read_panorama
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, distinct_names
+from omnisyn_cli.poses.floor import floor_distance
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
-from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.gravity import find_vertical
 from omnisyn_cli.poses.registration.least_squares import relative_pose
-from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.pose_graph import (
+    Edge,
+    average_rotations,
+    baseline_lengths,
+    placed_panoramas,
+    positions_of,
+    shortest_path,
+)
+from omnisyn_cli.poses.registration.robust import inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.scan import Scan, likeness, register_pair, scan_panorama
+from omnisyn_cli.types import View
 
 __all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
 
 DEFAULT_BASELINE = 1.0
 """Metres between two panoramas where no baseline is given."""
+
+LIKE_PANORAMAS = 3
+"""Of a set that each panorama is compared with, besides its neighbours: those that share most features."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +96,13 @@ class FoundPoses:
         panoramas: entries by what a pose file calls the images.
         notes: what was assumed, changed or left as it was, one sentence each.
         changed: number of pairs whose relative pose comes from the pictures.
+        order: the images that have poses, in walking order, where poses were looked for without any given.
     """
 
     panoramas: Mapping[str, PosedPanorama]
     notes: tuple[str, ...]
     changed: int
+    order: tuple[Path, ...] = ()
 
 
 def check_poses(
@@ -127,42 +146,149 @@ def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOp
 
 
 def estimate_poses(
-    images: Sequence[Path], baselines: Sequence[float] = (), options: PictureOptions | None = None
-) -> FoundPoses:
+    images: Sequence[Path], baselines: Sequence[float] = (), options: PictureOptions | None = None, *,
+    camera_height: float | None = None, must_place_all: bool = True, finds_order: bool = False,
+) -> FoundPoses:  # fmt: skip
     """Find the poses of panoramas in the pictures.
 
-    The first one is put at the origin, level and looking along −z, whatever it was.
+    The world is levelled by the vertical edges in them. The first panorama that is placed stands at the origin and
+    looks towards −z.
 
-    ``images`` are in walking order; ``baselines`` are the metres between neighbours, one for all pairs or one for each,
-    and :data:`DEFAULT_BASELINE` without any.
+    Args:
+        images: in walking order.
+        baselines: metres between neighbours: their mean, or one for each pair; :data:`DEFAULT_BASELINE` without any.
+            Else their ratios are those that points tell which several pairs share.
+        options: how pictures are read.
+        camera_height: metres of the cameras above the floor, instead of baselines.
+        must_place_all: refuse panoramas that do not fit the others; else they are named and left out.
+        finds_order: the order is looked for as well: a short way along pairs that match.
 
     Raises:
         InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks.
-        PoseError: too few matches between two neighbours.
+        PoseError: too few matches, or no floor to measure the height from.
     """
     _check_images(images, may_repeat=False)
-    if not baselines:
-        note = f"neighbours are taken to be {DEFAULT_BASELINE:g} m apart: pictures do not tell how far (--baseline)"
-    else:
-        note = f"distances between neighbours as given ({', '.join(f'{length:g}' for length in baselines)} m)"
-    notes = [f"{images[0].name} is taken for level and looks along −z, at the origin", note]
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
-    pose = Pose.identity()
+    scans = list(_scans(images, options or PictureOptions()))
+    edges, tried = _matched_edges(scans)
+    placed = placed_panoramas(edges, len(images))
+    left_out = [image for k, image in enumerate(images) if k not in placed]
+    if len(placed) < 2 or (left_out and must_place_all):
+        raise _unplaced(images, placed, tried)
+    edges = [edge for edge in edges if edge.first in placed]
+    rotations = average_rotations(edges, placed)
+    given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
+    found = positions_of(edges, baseline_lengths(edges, given), rotations)
+    world, level_note = _levelled({k: Pose(rotations[k], found[k]) for k in placed}, scans)
+    order = shortest_path({k: pose.position for k, pose in world.items()}, edges) if finds_order else placed
+    scale, scale_note = _scale(world, order, scans, baselines, camera_height)
+    world = {k: Pose(pose.rotation, scale * pose.position) for k, pose in world.items()}
     names = distinct_names(images)
-    entries = {names[0]: PosedPanorama(pose)}
-    pairs = _matched_pairs(images, [None] * len(images), options or PictureOptions())
-    for (first, second), name, length, matches in zip(pairwise(images), names[1:], lengths, pairs, strict=True):
-        estimate = estimate_relative_pose(matches)
-        if estimate is None:
+    notes = [f"{images[placed[0]].name} is at the origin; {level_note}", scale_note]
+    notes += [f"{images[e.first].name} and {images[e.second].name}: {_estimate_note(e)}" for e in edges]
+    if left_out:
+        notes.append(f"left out, as nothing tells where they are: {', '.join(image.name for image in left_out)}")
+    if finds_order:
+        notes.append(f"order: {', '.join(images[k].name for k in order)}")
+    entries = {names[k]: PosedPanorama(world[k]) for k in order}
+    return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order))
+
+
+def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:
+    for image, mask in zip(images, _given_masks(images, options), strict=True):
+        yield scan_panorama(*_usable_picture(image, (mask,), options), options.threads)
+
+
+def _matched_edges(scans: Sequence[Scan]) -> tuple[list[Edge], dict[tuple[int, int], int]]:
+    """Pairs whose relative pose is found, and all that were tried thoroughly with the number of their matches.
+
+    Neighbours are tried, pairs that look alike, and then what may connect the parts.
+    """
+    count, tried = len(scans), dict[tuple[int, int], int]()
+    alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
+    ranked = sorted(alike, key=lambda pair: (-alike[pair], pair))
+    wanted = {pair for k in range(count) for pair in [p for p in ranked if k in p][:LIKE_PANORAMAS]}
+    edges = []
+
+    def attempt(pair: tuple[int, int], *, is_thorough: bool) -> None:
+        estimate, matches = register_pair(scans[pair[0]], scans[pair[1]], is_thorough=is_thorough)
+        if is_thorough:
+            tried[pair] = len(matches)
+        if estimate is not None:
+            edges.append(Edge(*pair, estimate, matches.select(estimate.inliers)))
+
+    for pair in sorted(wanted | set(pairwise(range(count)))):
+        attempt(pair, is_thorough=pair[1] == pair[0] + 1)
+    for pair in [pair for pair in ranked if pair not in tried][: LIKE_PANORAMAS * count]:
+        placed = placed_panoramas(edges, count)
+        if len(placed) == count:
+            break
+        if (pair[0] in placed) != (pair[1] in placed):
+            attempt(pair, is_thorough=True)
+    return edges, tried
+
+
+def _unplaced(images: Sequence[Path], placed: Sequence[int], tried: Mapping[tuple[int, int], int]) -> PoseError:
+    pair = next(pair for pair in tried if not (pair[0] in placed and pair[1] in placed) or len(placed) < 2)
+    first, second = (images[k] for k in pair)
+    return PoseError(
+        f"{first} and {second}: expected more matches that agree with a pose than by chance, got too few (of "
+        f"{tried[pair]}); give their poses in a file, or take a panorama between them"
+    )
+
+
+def _levelled(world: Mapping[int, Pose], scans: Sequence[Scan]) -> tuple[dict[int, Pose], str]:
+    """The same poses in a world whose y axis is up and in which the first panorama looks towards −z."""
+    first = next(iter(world.values()))
+    upright = np.sum([pose.rotation @ UP for pose in world.values()], axis=0)
+    lines = np.concatenate([scans[k].lines @ pose.rotation.T for k, pose in world.items()])
+    vertical = find_vertical(lines, np.asarray(normalize(upright)))
+    if not vertical.is_certain:
+        level, note = np.eye(3), "it is taken for level, as no vertical edges tell better"
+    else:
+        level = rotation_taking(vertical.up, UP)
+        tilt = math.degrees(math.acos(min(1.0, float(first.rotation[:, 1] @ vertical.up))))
+        note = f"vertical edges say that it was tilted by {tilt:.1f}° ± {math.degrees(vertical.std):.1f}°"
+    ahead = level @ first.rotation @ FORWARD
+    level = rotation_from_rotation_vector(math.atan2(ahead[0], -ahead[2]) * UP) @ level
+    return {k: Pose(level @ pose.rotation, level @ pose.position) for k, pose in world.items()}, note
+
+
+def _scale(
+    world: Mapping[int, Pose], order: Sequence[int], scans: Sequence[Scan], baselines: Sequence[float],
+    camera_height: float | None,
+) -> tuple[float, str]:  # fmt: skip
+    """Metres per unit, and where they come from."""
+    steps = [float(np.linalg.norm(world[b].position - world[a].position)) for a, b in pairwise(order)]
+    mean = float(np.mean(steps)) or 1.0
+    if camera_height is not None:
+        heights = [
+            height
+            for a, b in pairwise(order)
+            if (height := floor_distance(_view(scans[a], world[a]), _view(scans[b], world[b]))) is not None
+        ]
+        if not heights:
             raise PoseError(
-                f"{first} and {second}: expected more matches that agree with a pose than by chance, got too few "
-                f"(of {len(matches)}); give their poses in a file, or take panoramas that have more in common"
+                "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "
+                "distance between neighbours instead (--baseline)"
             )
-        relative = estimate.first_from_second
-        pose = pose @ Pose(relative.rotation, relative.position * length)
-        entries[name] = PosedPanorama(pose)
-        notes.append(f"{first.name} and {second.name}: {_estimate_note(estimate, matches)}")
-    return FoundPoses(entries, tuple(notes), len(images) - 1)
+        height = float(np.median(heights))
+        spread = float(np.median(np.abs(np.array(heights) - height))) / height
+        note = f"{camera_height:g} m above the floor, which {len(heights)} of {len(steps)} pairs see"
+        return (
+            camera_height / height,
+            f"{note}: neighbours are {mean * camera_height / height:.2f} m apart on average"
+            + (f" (± {100.0 * spread:.0f} %)" if len(heights) > 2 else ""),
+        )
+    if len(baselines) > 1:
+        return 1.0, f"distances between neighbours as given ({', '.join(f'{length:g}' for length in baselines)} m)"
+    length = baselines[0] if baselines else DEFAULT_BASELINE
+    said = "as given" if baselines else "as pictures do not tell how far (--baseline)"
+    return length / mean, f"neighbours are taken to be {length:g} m apart{' on average' * (len(steps) > 1)}, {said}"
+
+
+def _view(scan: Scan, pose: Pose) -> View:
+    return View(scan.small, pose, scan.usable)
 
 
 def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
@@ -184,15 +310,25 @@ def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:
 
 
 def _matched_pairs(images: Sequence[Path], masks: Sequence[Path | None], options: PictureOptions) -> Iterator[Matches]:
-    if options.masks and len(options.masks) != len(images):
-        raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
-    given = options.masks or (None,) * len(images)
-    features = (_features(image, both, options) for image, *both in zip(images, masks, given, strict=True))
+    given = _given_masks(images, options)
+    features = (
+        find_features(*_usable_picture(image, both, options), options.threads)
+        for image, *both in zip(images, masks, given, strict=True)
+    )
     for first, second in pairwise(features):
         yield match_features(first, second)
 
 
-def _features(image: Path, masks: Sequence[Path | None], options: PictureOptions) -> Features:
+def _given_masks(images: Sequence[Path], options: PictureOptions) -> Sequence[Path | None]:
+    if options.masks and len(options.masks) != len(images):
+        raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
+    return options.masks or (None,) * len(images)
+
+
+def _usable_picture(
+    image: Path, masks: Sequence[Path | None], options: PictureOptions
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """A panorama, and where it may be used."""
     panorama = read_panorama(
         image, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels, reading=options.reading
     )
@@ -201,11 +337,12 @@ def _features(image: Path, masks: Sequence[Path | None], options: PictureOptions
         allow_aspect=options.allow_aspect, max_pixels=options.max_pixels,
         reading=replace(options.reading, view_transform=False),
     )  # fmt: skip
-    return find_features(panorama.image, usable, options.threads)
+    return panorama.image, usable
 
 
-def _estimate_note(estimate: Estimate, matches: Matches) -> str:
-    agreed = f"{int(estimate.inliers.sum())} of {len(matches)} matches agree"
+def _estimate_note(edge: Edge) -> str:
+    estimate = edge.estimate
+    agreed = f"{edge.weight} of {len(estimate.inliers)} matches agree"
     if estimate.have_same_position:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     spread = np.degrees([estimate.residual, estimate.uncertainty.rotation, estimate.uncertainty.direction])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.remap import RemapTable
@@ -60,6 +60,10 @@ class Features:
     descriptor: Float[np.ndarray, "n 128"]
     pixel: float
 
+    def strongest(self, count: int) -> Features:
+        """The first ones; they are sorted by their response."""
+        return Features(self.direction[:count], self.descriptor[:count], self.pixel)
+
 
 @dataclass(frozen=True)
 class Matches:
@@ -76,6 +80,10 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.first)
+
+    def __add__(self, other: Matches) -> Matches:
+        both = [np.concatenate(pair) for pair in ((self.first, other.first), (self.second, other.second))]
+        return Matches(*both, max(self.pixel, other.pixel))
 
     def select(self, chosen: np.ndarray) -> Matches:
         """Those of a mask or of indices."""
@@ -95,15 +103,34 @@ def find_features(
     Source: Lowe, Distinctive image features from scale-invariant keypoints, 2004; descriptors as in Arandjelović and
     Zisserman, Three things everyone should know to improve object retrieval, 2012.
     """
-    grey = _grey(image)
+    return find_grey_features(grey_of(image), usable, threads)
+
+
+def find_grey_features(
+    grey: UInt8[np.ndarray, "height width"],
+    usable: Bool[np.ndarray, "rows cols"] | None = None,
+    threads: int | None = None,
+) -> Features:
+    """:func:`find_features` of a :func:`grey_of` panorama; ``usable`` may have another size."""
     with limited_threads(threads):
         found = [_band_features(grey, axis) for axis in range(3)]
     direction, descriptor, response = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return strongest_features(direction, descriptor, response, usable, 1.0 / pixel_scale(grey.shape)[0])
+
+
+def strongest_features(
+    direction: Float[np.ndarray, "n 3"],
+    descriptor: Float[np.ndarray, "n 128"],
+    response: Float[np.ndarray, " n"],
+    usable: Bool[np.ndarray, "rows cols"] | None,
+    pixel: float,
+) -> Features:
+    """At most :data:`MAX_FEATURES` of SIFT's points where the panorama is usable."""
     if usable is not None:
         kept = np.asarray(sample_nearest(usable.astype(np.float32), direction) > 0)
         direction, descriptor, response = direction[kept], descriptor[kept], response[kept]
     strongest = np.argsort(-response, kind="stable")[:MAX_FEATURES]
-    return Features(direction[strongest], _root_sift(descriptor[strongest]), 1.0 / pixel_scale(grey.shape)[0])
+    return Features(direction[strongest], _root_sift(descriptor[strongest]), pixel)
 
 
 def match_features(first: Features, second: Features) -> Matches:
@@ -113,14 +140,16 @@ def match_features(first: Features, second: Features) -> Matches:
         return Matches(np.zeros((0, 3)), np.zeros((0, 3)), pixel)
     similarity = first.descriptor @ second.descriptor.T
     best = np.argmax(similarity, axis=1)
-    is_mutual = np.argmax(similarity, axis=0)[best] == np.arange(len(best))
-    top = np.partition(similarity, -2, axis=1)[:, -2:]
-    nearest, runner_up = (2.0 * (DESCRIPTOR_NORM**2 - top[:, k]).clip(0.0) for k in (1, 0))
+    every = np.arange(len(best))
+    is_mutual = np.argmax(similarity, axis=0)[best] == every
+    top = similarity[every, best]
+    similarity[every, best] = -np.inf
+    nearest, runner_up = (2.0 * (DESCRIPTOR_NORM**2 - each).clip(0.0) for each in (top, similarity.max(axis=1)))
     chosen = np.flatnonzero(is_mutual & (nearest < LOWE_RATIO**2 * runner_up))
     return Matches(first.direction[chosen], second.direction[best[chosen]], pixel)
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
+def grey_of(image: Float[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "rows cols"]:
     """Luma of a panorama as uint8, at most :data:`MAX_IMAGE_ROWS` high."""
     luma: np.ndarray = np.asarray(image, np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     if len(luma) > MAX_IMAGE_ROWS:
@@ -137,16 +166,23 @@ def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray,
     row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
     direction = pixel_to_direction(row.astype(float), col.astype(float), size) @ CAMERA_FROM_BAND[axis].T
     band = RemapTable.for_directions(direction, grey.shape).bilinear(grey)
-    threshold = SIFT_CONTRAST_THRESHOLD
-    sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=threshold, enable_precise_upscale=True)
-    points, descriptor = sift.detectAndCompute(band, None)
-    if not points:
-        return np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0)
-    place = np.array([point.pt for point in points], float) + np.array([-wrap, top])
+    place, descriptor, response = detect_sift(band)
+    place += np.array([-wrap, top])
     direction = pixel_to_direction(place[:, 1], place[:, 0], size)
     is_inside = (place[:, 0] >= -0.5) & (place[:, 0] < width - 0.5) & (np.argmin(np.abs(direction), axis=1) == 1)
-    response = np.array([point.response for point in points])
     return direction[is_inside] @ CAMERA_FROM_BAND[axis].T, descriptor[is_inside], response[is_inside]
+
+
+def detect_sift(
+    image: UInt8[np.ndarray, "height width"],
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"], Float[np.ndarray, " n"]]:
+    """Column and row, descriptor and response of SIFT's points in a flat image."""
+    threshold = SIFT_CONTRAST_THRESHOLD
+    sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=threshold, enable_precise_upscale=True)
+    points, descriptor = sift.detectAndCompute(image, None)
+    if not points:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros(0)
+    return np.array([p.pt for p in points], float), descriptor, np.array([p.response for p in points])
 
 
 def _root_sift(descriptor: np.ndarray) -> np.ndarray:

@@ -1,19 +1,20 @@
 """The relative pose of two panoramas from matches of which many are wrong.
 
-Samples of five matches give hypotheses; those that most matches agree with are refined (:mod:`.least_squares`), and so
-is a pose that is already known. Random numbers come from a fixed seed: equal matches give equal poses. That the cameras
-stand in one place, so that the baseline has no direction, is recognised by a pure rotation explaining as many matches.
+Samples of few matches give hypotheses; those that most matches agree with are refined (:mod:`.least_squares`), and so
+is a pose that is already known. Random numbers come from a fixed seed: equal matches give equal poses. A pose counts if
+more matches agree with it than by chance. That the cameras stand in one place, so that the baseline has no direction,
+is recognised by a pure rotation explaining as many matches.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.pose import Pose, nearest_rotation
-from omnisyn_cli.geometry.sphere import FORWARD
+from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_taking
+from omnisyn_cli.geometry.sphere import FORWARD, UP
 from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import (
     Uncertainty,
@@ -23,88 +24,44 @@ from omnisyn_cli.poses.registration.least_squares import (
     refine_pose,
     uncertainty,
 )
+from omnisyn_cli.poses.registration.minimal_solvers import (
+    essential_candidates,
+    poses_of_essential,
+    upright_essential_candidates,
+)
 
-CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3))
-BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
-"""Exponents of x, y, z: the monomials that are eliminated, and the basis of the quotient ring."""
+MIN_MATCHES = 8
+"""Five determine a pose; three more have to agree with it."""
 
-SAMPLE_POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3], float) - 0.75
-"""Twenty points (x, y, z) that determine a cubic polynomial in three variables."""
+MAX_LOG_FALSE_ALARMS = -5.0
+"""Decimal logarithm of the number of poses that as many matches would agree with by chance.
 
-COEFFICIENTS_FROM_VALUES = np.linalg.inv(np.prod(SAMPLE_POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
-"""Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`."""
+Over 80 generated pairs, shuffled matches gave 4 to 15, right poses with 17 agreeing matches −7, with 60 less than −50.
+"""
 
-MAX_IMAGINARY_PART = 1e-6
-"""Imaginary part, relative to the absolute value, up to which a root counts as real."""
+LOG_TESTS_WITHOUT_GRAVITY = 5.0
+"""What is added where a pose contradicts the vertical edges: two directions agree within 1° once in 10,000 times."""
 
-MIN_RELATIVE_DETERMINANT = 1e-10
-"""Determinant, relative to the lengths of its rows, below which a sample is degenerate."""
+MAX_VERTICAL_ERROR = math.radians(2.0)
+"""Radians between the verticals of two panoramas up to which a pose agrees with them."""
 
+MIN_CHANCE = 1e-4
+"""Least probability that is assumed of a wrong match to agree; fewer samples than its inverse cannot tell it."""
 
-def essential_candidates(
-    first: Float[np.ndarray, "batch 5 3"], second: Float[np.ndarray, "batch 5 3"]
-) -> Float[np.ndarray, "found 3 3"]:
-    """All essential matrices of all samples, in one list, each of Frobenius norm 1.
+CHANCE_SAMPLES = 300
+"""Matches whose directions are paired at random, each with each, to find that probability."""
 
-    ``first`` and ``second`` are unit vectors with ``first · E · second = 0``. E lies in the four-dimensional null space
-    of five linear equations, ``E = xX + yY + zZ + W``; the ten cubic equations ``det E = 0`` and
-    ``2EEᵀE − tr(EEᵀ)E = 0`` leave up to ten solutions, which are eigenvectors of a 10×10 matrix. Planes, on which
-    eight-point methods break down, are no special case.
+DISTINCT_ANGLE = math.radians(5.0)
+"""Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing."""
 
-    Source: Stewénius, Engels, Nistér, Recent developments on direct relative orientation, ISPRS 2006.
-    """
-    equations = np.einsum("bni,bnj->bnij", first, second).reshape(-1, 5, 9)
-    null_space = np.linalg.svd(equations)[2][:, 5:].reshape(-1, 4, 3, 3)
-    coefficients = _cubic_equations(null_space)
-    leading, rest = coefficients[..., :10], coefficients[..., 10:]
-    is_solvable = np.abs(np.linalg.det(leading)) > MIN_RELATIVE_DETERMINANT * np.prod(
-        np.linalg.norm(leading, axis=-1), axis=-1
-    )
-    null_space, eliminated = null_space[is_solvable], np.linalg.solve(leading[is_solvable], rest[is_solvable])
-    roots, vectors = np.linalg.eig(_action_matrix(eliminated))
-    is_real = (np.abs(roots.imag) <= MAX_IMAGINARY_PART * np.abs(roots)) & (
-        np.abs(vectors[:, 9]) > MIN_RELATIVE_DETERMINANT
-    )
-    sample, which = np.nonzero(is_real)
-    weights = (vectors[sample, 6:, which] / vectors[sample, 9, which][:, None]).real
-    essential = np.einsum("nk,nkij->nij", weights, null_space[sample])
-    return np.asarray(essential / np.linalg.norm(essential, axis=(1, 2), keepdims=True))
+CROWDED_ANGLE = math.radians(10.0)
+"""Side of the cells that matches are counted in; all cells weigh the same.
 
+A floor of equal tiles has hundreds of matches, all consistently wrong by some tiles, in a small part of the sphere.
+"""
 
-def poses_of_essential(essential: Float[np.ndarray, "3 3"]) -> list[Pose]:
-    """The four relative poses with that essential matrix (up to its sign); translations have length 1.
-
-    Source: Hartley and Zisserman, section 9.6.2.
-    """
-    u, _, vt = np.linalg.svd(essential)
-    u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
-    quarter_turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return [Pose(u @ turn @ vt, sign * u[:, 2]) for turn in (quarter_turn, quarter_turn.T) for sign in (1.0, -1.0)]
-
-
-def _cubic_equations(null_space: np.ndarray) -> np.ndarray:
-    """Coefficients ``(batch, 10, 20)`` of the ten equations, from their values at twenty points."""
-    weights = np.concatenate([SAMPLE_POINTS, np.ones((len(SAMPLE_POINTS), 1))], axis=1)
-    e = np.einsum("pk,bkij->bpij", weights, null_space)
-    square = e @ np.swapaxes(e, -1, -2)
-    trace = np.trace(square, axis1=-2, axis2=-1)[..., None, None]
-    values = np.concatenate(
-        [np.linalg.det(e)[..., None], (2.0 * square @ e - trace * e).reshape(*e.shape[:2], 9)], axis=-1
-    )
-    return np.asarray(np.einsum("mp,bpq->bqm", COEFFICIENTS_FROM_VALUES, values))
-
-
-def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
-    """The matrix that multiplies by x in the space spanned by :data:`BASIS`."""
-    action = np.zeros_like(eliminated)
-    action[:, :6] = -eliminated[:, :6]
-    for row, column in ((6, 0), (7, 1), (8, 2), (9, 6)):
-        action[:, row, column] = 1.0
-    return action
-
-
-MIN_INLIERS = 24
-"""Matches that have to agree with a pose at least; fewer may agree by chance."""
+MIN_TURN_INLIERS = 12
+"""Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does."""
 
 STRAIGHT_AHEAD = Pose(np.eye(3), FORWARD)
 
@@ -115,7 +72,10 @@ INLIER_THRESHOLD_PIXELS = 1.0
 """Pixels (of the searched image) from its epipolar circle within which a match is an inlier."""
 
 SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30
-"""Samples of five matches that are drawn at once, and how many times at most."""
+"""Samples that are drawn at once, and how many times at most."""
+
+UPRIGHT_SCALE = 4.0
+"""Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree."""
 
 CONFIDENCE = 0.9999
 """Probability that a sample without a wrong match was among those drawn."""
@@ -152,27 +112,35 @@ class Estimate:
     have_same_position: bool
 
 
-def estimate_relative_pose(matches: Matches, known: Sequence[Pose] = ()) -> Estimate | None:
-    """The relative pose that most matches agree with, or None if too few agree with any.
+Verticals = tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]
+"""The direction of the zenith in each of two cameras, unit vectors."""
 
-    ``known`` are relative poses with a position of length 1 that compete with what is found.
+
+def estimate_relative_pose(
+    matches: Matches, known: Sequence[Pose] = (), verticals: Verticals | None = None
+) -> Estimate | None:
+    """The relative pose that most matches agree with, or None if so many might agree by chance.
+
+    ``known`` are relative poses with a position of length 1 that compete with what is found. ``verticals`` guide the
+    search and make a pose that agrees with them more credible; no pose has to.
 
     Source: Fischler and Bolles, Random sample consensus, 1981; Torr and Zisserman, MLESAC, 2000 (truncated squares).
     """
-    if len(matches) < MIN_INLIERS:
+    if len(matches) < MIN_MATCHES:
         return None
     scale = inlier_threshold(matches)
-    pose = _best_pose(matches, known, scale)
+    pose = _best_pose(matches, known, scale, verticals)
     inliers = support_mask(pose, matches, scale)
     rotation = _best_rotation(matches, scale)
     turned = _rotation_residual(rotation, matches)
     count, in_place = int(inliers.sum()), int((turned < scale).sum())
-    if max(count, in_place) < max(MIN_INLIERS, MIN_INLIER_SHARE * len(matches)):
-        return None
+    is_turn = in_place >= max(MIN_TURN_INLIERS, MIN_INLIER_SHARE * len(matches))
+    if count < MIN_INLIER_SHARE * len(matches) or _log_false_alarms(pose, matches, verticals) > MAX_LOG_FALSE_ALARMS:
+        return _in_place(rotation, turned, scale) if is_turn else None
     agreed = matches.select(inliers)
-    spread = uncertainty(pose, agreed) if count else Uncertainty(np.inf, np.inf)
+    spread = uncertainty(pose, agreed)
     if in_place >= MIN_ROTATION_ONLY_SHARE * count or spread.direction > MAX_DIRECTION_STD:
-        return _in_place(rotation, turned, scale)
+        return _in_place(rotation, turned, scale) if is_turn else None
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
     return Estimate(pose, inliers, residual, spread, have_same_position=False)
 
@@ -195,37 +163,109 @@ def _in_place(rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimat
     return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, have_same_position=True)
 
 
-def _best_pose(matches: Matches, known: Sequence[Pose], scale: float) -> Pose:
-    hypotheses = (poses_of_essential(essential) for essential in _essential_hypotheses(matches, scale))
-    in_front = (max(poses, key=lambda pose: support_mask(pose, matches, scale).sum()) for poses in hypotheses)
-    starts = [*known, *in_front]
-    starts = starts or [STRAIGHT_AHEAD]  # one picture twice: all samples are degenerate
+def _log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None) -> float:
+    """Decimal logarithm of the expected number of poses that as many of unrelated matches would agree with.
+
+    A wrong match agrees as often as directions that are paired at random: more often where all features lie near the
+    horizon and the baseline too.
+
+    Source: Moisan and Stival, A probabilistic criterion to detect rigid point matches between two images and estimate
+    the fundamental matrix, IJCV 2004.
+    """
+    scale, sample = inlier_threshold(matches), 5
+    agreed, count = (_count_distinct(matches.select(m)) for m in (support_mask(pose, matches, scale), slice(None)))
+    if agreed <= sample:
+        return math.inf
+    some = matches.select(slice(None, None, max(1, len(matches) // CHANCE_SAMPLES)))
+    first, second = np.nonzero(~np.eye(len(some), dtype=bool))
+    unrelated = Matches(some.first[first], some.second[second], matches.pixel)
+    chance = max(float(support_mask(pose, unrelated, scale).mean()), MIN_CHANCE)
+    log_choices = _log_binomial(count, agreed) + _log_binomial(agreed, sample) + math.log10(10 * max(count - sample, 1))
+    surprise = 0.0 if verticals is None or _agrees_with(pose, verticals) else LOG_TESTS_WITHOUT_GRAVITY
+    return log_choices + (agreed - sample) * math.log10(chance) + surprise
+
+
+def _agrees_with(pose: Pose, verticals: Verticals) -> bool:
+    return bool(angle_between(verticals[0], pose.rotation @ verticals[1]) < MAX_VERTICAL_ERROR)
+
+
+def _count_distinct(matches: Matches) -> int:
+    """Matches that are no repetition of others in either panorama."""
+    cells = (np.floor(directions / DISTINCT_ANGLE) for directions in (matches.first, matches.second))
+    return min(len(np.unique(cell, axis=0)) for cell in cells)
+
+
+def _log_binomial(n: int, k: int) -> float:
+    return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10.0)
+
+
+def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals: Verticals | None) -> Pose:
+    starts, weight = list(known), _crowd_weight(matches)
+    if verticals is not None:
+        level = [rotation_taking(vertical, UP) for vertical in verticals]
+        upright = Matches(matches.first @ level[0].T, matches.second @ level[1].T, matches.pixel)
+        found = _hypotheses(upright, weight, UPRIGHT_SCALE * scale, upright_essential_candidates, 3)
+        starts += _in_front(np.swapaxes(level[0], 0, 1) @ found @ level[1], matches, weight, UPRIGHT_SCALE * scale)
     refined = [refine_pose(start, matches, scale) for start in starts]
-    costs = [_pose_cost(pose, matches, scale) for pose in refined]
+    costs = [_pose_cost(pose, matches, weight, scale) for pose in refined]
+    share = 1.0 - min(costs, default=np.inf) / len(matches)
+    found = _hypotheses(matches, weight, scale, essential_candidates, 5, share)
+    refined += [refine_pose(start, matches, scale) for start in _in_front(found, matches, weight, scale)]
+    if not refined:  # one picture twice: all samples are degenerate
+        return refine_pose(STRAIGHT_AHEAD, matches, scale)
+    costs += [_pose_cost(pose, matches, weight, scale) for pose in refined[len(costs) :]]
     return refined[int(np.argmin(costs))]
 
 
-def _essential_hypotheses(matches: Matches, scale: float) -> Float[np.ndarray, "k 3 3"]:
-    """The best :data:`REFINED_HYPOTHESES` essential matrices of random samples, best first."""
-    rng, needed, drawn = np.random.default_rng(0), np.inf, 0
+def _in_front(essentials: np.ndarray, matches: Matches, weight: np.ndarray, scale: float) -> list[Pose]:
+    """Of the four poses of each essential matrix the one with most points in front of both cameras."""
+    hypotheses = (poses_of_essential(essential) for essential in essentials)
+    return [min(poses, key=lambda pose: _pose_cost(pose, matches, weight, scale)) for poses in hypotheses]
+
+
+Solver = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "k 3 3"]]
+
+
+def _hypotheses(
+    matches: Matches, weight: np.ndarray, scale: float, solver: Solver, size: int, share: float = 0.0
+) -> Float[np.ndarray, "k 3 3"]:
+    """The best :data:`REFINED_HYPOTHESES` essential matrices of random samples of a ``size``, best first.
+
+    ``share`` of the matches is known to agree with some pose.
+    """
+    rng, drawn, cumulative = np.random.default_rng(0), 0, np.cumsum(weight)
     best, costs = np.zeros((0, 3, 3)), np.zeros(0)
     pairs = ((matches.first, matches.second), (matches.first, matches.first), (matches.second, matches.second))
     products = tuple(np.einsum("ni,nj->ijn", a, b).reshape(9, -1) for a, b in pairs)  # residuals are linear in them
-    while drawn < min(needed, SAMPLES_PER_BATCH * MAX_BATCHES):
-        sample = np.stack([rng.choice(len(matches), 5, replace=False) for _ in range(SAMPLES_PER_BATCH)])
+    while drawn < min(_samples_needed(share, size) if drawn else np.inf, SAMPLES_PER_BATCH * MAX_BATCHES):
+        sample = np.searchsorted(cumulative, rng.random((SAMPLES_PER_BATCH, size)) * cumulative[-1])
         drawn += SAMPLES_PER_BATCH
-        found = essential_candidates(matches.first[sample], matches.second[sample])
-        best, costs = np.concatenate([best, found]), np.concatenate([costs, _costs(found, products, scale)])
+        found = solver(matches.first[sample], matches.second[sample])
+        best, costs = np.concatenate([best, found]), np.concatenate([costs, _costs(found, products, weight, scale)])
         order = np.argsort(costs, kind="stable")[:REFINED_HYPOTHESES]
         best, costs = best[order], costs[order]
-        share = 1.0 - costs[0] / len(matches) if len(costs) else 0.0
-        # samples until one of five right matches was drawn with that probability (Fischler and Bolles)
-        needed = np.log(1.0 - CONFIDENCE) / np.log1p(-min(max(share, 1e-3) ** 5, 1.0 - 1e-9))
+        share = max(share, 1.0 - costs[0] / len(matches)) if len(costs) else share
     return best
 
 
-def _costs(essential: np.ndarray, products: tuple[np.ndarray, ...], scale: float) -> np.ndarray:
-    """Truncated squared residuals in units of ``scale``, summed over the matches; 0 is best, n is worst."""
+def _samples_needed(share: float, size: int) -> float:
+    """Samples until one without a wrong match was drawn with :data:`CONFIDENCE` (Fischler and Bolles)."""
+    return float(np.log(1.0 - CONFIDENCE) / np.log1p(-min(max(share, 1e-3) ** size, 1.0 - 1e-9)))
+
+
+def _crowd_weight(matches: Matches) -> Float[np.ndarray, " n"]:
+    """Weights that sum to the number of matches, smaller where many lie together in either panorama."""
+    crowd = np.ones(len(matches))
+    for directions in (matches.first, matches.second):
+        cells = np.floor(directions / CROWDED_ANGLE)
+        _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        crowd = np.maximum(crowd, count[cell.ravel()])
+    weight = 1.0 / crowd
+    return np.asarray(weight * (len(matches) / weight.sum()))
+
+
+def _costs(essential: np.ndarray, products: tuple[np.ndarray, ...], weight: np.ndarray, scale: float) -> np.ndarray:
+    """Truncated squared residuals in units of ``scale``, summed by weight; 0 is best, n is worst."""
     first_second, first_first, second_second = products
     costs = []
     for begin in range(0, len(essential), HYPOTHESES_PER_CHUNK):
@@ -234,13 +274,13 @@ def _costs(essential: np.ndarray, products: tuple[np.ndarray, ...], scale: float
         along_first = (e @ np.swapaxes(e, 1, 2)).reshape(-1, 9) @ first_first
         along_second = (np.swapaxes(e, 1, 2) @ e).reshape(-1, 9) @ second_second
         squared = triple**2 / np.maximum(0.5 * (along_first + along_second), 1e-12)
-        costs.append(np.minimum(squared / scale**2, 1.0).sum(axis=1))
+        costs.append(np.einsum("hn,n->h", np.minimum(squared / scale**2, 1.0), weight))
     return np.concatenate(costs) if costs else np.zeros(0)
 
 
-def _pose_cost(pose: Pose, matches: Matches, scale: float) -> float:
+def _pose_cost(pose: Pose, matches: Matches, weight: np.ndarray, scale: float) -> float:
     squared = np.minimum((epipolar_residual(pose, matches) / scale) ** 2, 1.0)
-    return float(np.where(is_in_front(pose, matches, scale), squared, 1.0).sum())
+    return float((weight * np.where(is_in_front(pose, matches, scale), squared, 1.0)).sum())
 
 
 def _best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:

@@ -1,0 +1,129 @@
+"""Relative poses from the fewest matches that determine one: five, or three between two cameras that are held upright.
+
+Each match gives one equation in the essential matrix, which has five degrees of freedom. Where gravity is known in both
+cameras, only the turn about it and the direction of the baseline are left: three.
+"""
+
+import math
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+
+CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3))
+BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
+"""Exponents of x, y, z: the monomials that are eliminated, and the basis of the quotient ring."""
+
+SAMPLE_POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3], float) - 0.75
+"""Twenty points (x, y, z) that determine a cubic polynomial in three variables."""
+
+COEFFICIENTS_FROM_VALUES = np.linalg.inv(np.prod(SAMPLE_POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
+"""Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`."""
+
+MAX_IMAGINARY_PART = 1e-6
+"""Imaginary part, relative to the absolute value, up to which a root counts as real."""
+
+MIN_RELATIVE_DETERMINANT = 1e-10
+"""Determinant, relative to the lengths of its rows, below which a sample is degenerate."""
+
+
+def essential_candidates(
+    first: Float[np.ndarray, "batch 5 3"], second: Float[np.ndarray, "batch 5 3"]
+) -> Float[np.ndarray, "found 3 3"]:
+    """All essential matrices of all samples, in one list, each of Frobenius norm 1.
+
+    ``first`` and ``second`` are unit vectors with ``first · E · second = 0``. E lies in the four-dimensional null space
+    of five linear equations, ``E = xX + yY + zZ + W``; the ten cubic equations ``det E = 0`` and
+    ``2EEᵀE − tr(EEᵀ)E = 0`` leave up to ten solutions, which are eigenvectors of a 10×10 matrix. Planes, on which
+    eight-point methods break down, are no special case.
+
+    Source: Stewénius, Engels, Nistér, Recent developments on direct relative orientation, ISPRS 2006.
+    """
+    equations = np.einsum("bni,bnj->bnij", first, second).reshape(-1, 5, 9)
+    null_space = np.linalg.svd(equations)[2][:, 5:].reshape(-1, 4, 3, 3)
+    coefficients = _cubic_equations(null_space)
+    leading, rest = coefficients[..., :10], coefficients[..., 10:]
+    is_solvable = np.abs(np.linalg.det(leading)) > MIN_RELATIVE_DETERMINANT * np.prod(
+        np.linalg.norm(leading, axis=-1), axis=-1
+    )
+    null_space, eliminated = null_space[is_solvable], np.linalg.solve(leading[is_solvable], rest[is_solvable])
+    roots, vectors = np.linalg.eig(_action_matrix(eliminated))
+    is_real = (np.abs(roots.imag) <= MAX_IMAGINARY_PART * np.abs(roots)) & (
+        np.abs(vectors[:, 9]) > MIN_RELATIVE_DETERMINANT
+    )
+    sample, which = np.nonzero(is_real)
+    weights = (vectors[sample, 6:, which] / vectors[sample, 9, which][:, None]).real
+    essential = np.einsum("nk,nkij->nij", weights, null_space[sample])
+    return np.asarray(essential / np.linalg.norm(essential, axis=(1, 2), keepdims=True))
+
+
+def poses_of_essential(essential: Float[np.ndarray, "3 3"]) -> list[Pose]:
+    """The four relative poses with that essential matrix (up to its sign); translations have length 1.
+
+    Source: Hartley and Zisserman, section 9.6.2.
+    """
+    u, _, vt = np.linalg.svd(essential)
+    u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
+    quarter_turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return [Pose(u @ turn @ vt, sign * u[:, 2]) for turn in (quarter_turn, quarter_turn.T) for sign in (1.0, -1.0)]
+
+
+def _cubic_equations(null_space: np.ndarray) -> np.ndarray:
+    """Coefficients ``(batch, 10, 20)`` of the ten equations, from their values at twenty points."""
+    weights = np.concatenate([SAMPLE_POINTS, np.ones((len(SAMPLE_POINTS), 1))], axis=1)
+    e = np.einsum("pk,bkij->bpij", weights, null_space)
+    square = e @ np.swapaxes(e, -1, -2)
+    trace = np.trace(square, axis1=-2, axis2=-1)[..., None, None]
+    values = np.concatenate(
+        [np.linalg.det(e)[..., None], (2.0 * square @ e - trace * e).reshape(*e.shape[:2], 9)], axis=-1
+    )
+    return np.asarray(np.einsum("mp,bpq->bqm", COEFFICIENTS_FROM_VALUES, values))
+
+
+def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
+    """The matrix that multiplies by x in the space spanned by :data:`BASIS`."""
+    action = np.zeros_like(eliminated)
+    action[:, :6] = -eliminated[:, :6]
+    for row, column in ((6, 0), (7, 1), (8, 2), (9, 6)):
+        action[:, row, column] = 1.0
+    return action
+
+
+MAX_MODULUS_ERROR = 1e-4
+"""Distance of a root from the unit circle up to which it counts as a turn."""
+
+TURNS = 2.0 * math.pi * np.arange(5) / 5
+"""Radians; a trigonometric polynomial of degree 2 follows from its values there."""
+
+
+def upright_essential_candidates(
+    first: Float[np.ndarray, "batch 3 3"], second: Float[np.ndarray, "batch 3 3"]
+) -> Float[np.ndarray, "found 3 3"]:
+    """All essential matrices of samples of three matches between upright cameras, each of Frobenius norm 1.
+
+    Of each sample ``first`` and ``second`` hold three unit vectors as rows, in frames whose y axis is up. At the right
+    turn the three epipolar planes share a line, the baseline: the determinant of their normals vanishes. It is a
+    trigonometric polynomial of the turn of degree 2, so there are up to four solutions.
+
+    Source: Fraundorfer, Tanskanen, Pollefeys, A minimal case solution to the calibrated relative pose problem for the
+    case of two known orientation angles, ECCV 2010.
+    """
+    values = np.linalg.det(np.cross(first[:, None], second[:, None] @ np.swapaxes(_turns_about_up(TURNS), 1, 2)))
+    coefficients = np.fft.fft(values, axis=1)[:, [2, 1, 0, 4, 3]]  # from e^2ia to e^-2ia
+    is_solvable = np.abs(coefficients[:, 0]) > MIN_RELATIVE_DETERMINANT * np.abs(coefficients).max(axis=1)
+    first, second, coefficients = first[is_solvable], second[is_solvable], coefficients[is_solvable]
+    companion = np.zeros((len(coefficients), 4, 4), complex)
+    companion[:, np.arange(1, 4), np.arange(3)] = 1.0
+    companion[:, 0] = -coefficients[:, 1:] / coefficients[:, :1]
+    roots = np.linalg.eigvals(companion)
+    sample, which = np.nonzero(np.abs(np.abs(roots) - 1.0) < MAX_MODULUS_ERROR)
+    rotation = _turns_about_up(np.angle(roots[sample, which]))
+    normals = np.cross(first[sample], second[sample] @ np.swapaxes(rotation, 1, 2))
+    baseline = np.linalg.svd(normals)[2][:, 2]
+    return np.asarray(np.cross(baseline[:, None, :], np.swapaxes(rotation, 1, 2)).swapaxes(1, 2) / math.sqrt(2.0))
+
+
+def _turns_about_up(angle: np.ndarray) -> Float[np.ndarray, "n 3 3"]:
+    return rotation_from_rotation_vector(np.stack([np.zeros_like(angle), angle, np.zeros_like(angle)], axis=-1))

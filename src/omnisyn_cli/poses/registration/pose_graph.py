@@ -1,0 +1,212 @@
+"""Poses of a set of panoramas from the relative poses of pairs.
+
+Rotations are averaged over all pairs. Pictures do not tell the length of a baseline, but points that two pairs of one
+panorama share tell the ratio of theirs. Then positions follow from directions and lengths by linear least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.geometry.pose import Pose, nearest_rotation
+from omnisyn_cli.poses.registration.features import Matches
+from omnisyn_cli.poses.registration.robust import Estimate
+
+MIN_PARALLAX_PIXELS = 6.0
+"""Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then."""
+
+MIN_SHARED_POINTS = 5
+"""Points that two pairs have to share for a ratio of their baselines."""
+
+MAX_SHARED_WEIGHT = 100
+"""Shared points beyond this make a ratio no more credible."""
+
+EQUAL_LENGTH_WEIGHT = 0.01
+"""Weight, in shared points, of baselines being equal: it decides only where nothing else does."""
+
+GIVEN_LENGTH_WEIGHT = 1e4
+"""Weight, in shared points, of a baseline that is given."""
+
+AVERAGING_ROUNDS = 50
+"""Of rotation averaging, each over all panoramas; a chain needs none."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Two panoramas of a set whose relative pose is known.
+
+    Attributes:
+        first, second: their indices.
+        estimate: the relative pose.
+        matches: those that agree with it.
+    """
+
+    first: int
+    second: int
+    estimate: Estimate
+    matches: Matches
+
+    @property
+    def weight(self) -> int:
+        """Number of matches."""
+        return len(self.matches)
+
+    def seen_from(self, panorama: int) -> tuple[Pose, np.ndarray, np.ndarray]:
+        """Relative pose and matched directions with that panorama as the first one."""
+        pose = self.estimate.first_from_second
+        if panorama == self.first:
+            return pose, self.matches.first, self.matches.second
+        return pose.inverse(), self.matches.second, self.matches.first
+
+
+def placed_panoramas(edges: Sequence[Edge], count: int) -> list[int]:
+    """The largest set of panoramas that are connected with each other; that of the first one among equals."""
+    group = list(range(count))
+    for edge in edges:
+        old, new = sorted((group[edge.first], group[edge.second]), reverse=True)
+        group = [new if label == old else label for label in group]
+    largest = max(group, key=lambda label: (group.count(label), -label))
+    return [panorama for panorama in range(count) if group[panorama] == largest]
+
+
+def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int, Float[np.ndarray, "3 3"]]:
+    """World-from-camera rotations; the first placed panorama has the identity.
+
+    They start along the strongest pairs and then move to the mean of what all neighbours say.
+
+    Source: Hartley et al., Rotation averaging, IJCV 2013 (chordal mean).
+    """
+    rotations = {placed[0]: np.eye(3)}
+    while len(rotations) < len(placed):
+        onwards = [e for e in edges if (e.first in rotations) != (e.second in rotations)]
+        edge = max(onwards, key=lambda e: e.weight)
+        known, new = (edge.first, edge.second) if edge.first in rotations else (edge.second, edge.first)
+        rotations[new] = rotations[known] @ edge.seen_from(known)[0].rotation
+    for _ in range(AVERAGING_ROUNDS if len(edges) >= len(placed) else 0):
+        for panorama in placed[1:]:
+            own = [edge for edge in edges if panorama in (edge.first, edge.second)]
+            others = [edge.second if edge.first == panorama else edge.first for edge in own]
+            said = [
+                edge.weight * rotations[other] @ edge.seen_from(other)[0].rotation
+                for edge, other in zip(own, others, strict=True)
+            ]
+            rotations[panorama] = nearest_rotation(np.sum(said, axis=0))
+    return rotations
+
+
+def baseline_lengths(
+    edges: Sequence[Edge], given: Mapping[tuple[int, int], float], typical: float = 1.0
+) -> Float[np.ndarray, " edges"]:
+    """The length of every pair's baseline; 0 where both stand in one place.
+
+    Logarithms of the lengths by least squares over all ratios, those that are ``given``, and the ``typical`` one.
+    """
+    has_length = [not edge.estimate.have_same_position for edge in edges]
+    rows, values = [np.eye(len(edges))], [np.full(len(edges), math.log(typical))]
+    weights = [np.full(len(edges), EQUAL_LENGTH_WEIGHT)]
+    for k, edge in enumerate(edges):
+        if (length := given.get((edge.first, edge.second))) is not None:
+            rows.append(np.eye(len(edges))[k : k + 1])
+            values.append(np.array([math.log(length)]))
+            weights.append(np.array([GIVEN_LENGTH_WEIGHT]))
+    for a, b in combinations(range(len(edges)), 2):
+        if has_length[a] and has_length[b] and (ratio := _log_length_ratio(edges[a], edges[b])) is not None:
+            row = np.zeros((1, len(edges)))
+            row[0, [a, b]] = 1.0, -1.0
+            rows.append(row)
+            values.append(np.array([ratio[0]]))
+            weights.append(np.array([min(ratio[1], MAX_SHARED_WEIGHT)], float))
+    weight = np.sqrt(np.concatenate(weights))
+    logs = np.linalg.lstsq(np.concatenate(rows) * weight[:, None], np.concatenate(values) * weight, rcond=None)[0]
+    return np.where(has_length, np.exp(logs), 0.0)
+
+
+def positions_of(
+    edges: Sequence[Edge], lengths: Float[np.ndarray, " edges"], rotations: Mapping[int, np.ndarray]
+) -> dict[int, Float[np.ndarray, " 3"]]:
+    """Positions from directions and lengths; the first panorama stands at the origin.
+
+    Pairs weigh by their matches, and less the longer they are: errors of a direction grow with the length.
+    """
+    placed = sorted(rotations)
+    column = {panorama: k for k, panorama in enumerate(placed)}
+    system, steps = np.zeros((len(edges) + 1, len(placed))), np.zeros((len(edges) + 1, 3))
+    shortest = float(np.min(lengths[lengths > 0], initial=1.0))
+    for k, (edge, length) in enumerate(zip(edges, lengths, strict=True)):
+        weight = math.sqrt(edge.weight) / max(float(length), shortest)
+        system[k, column[edge.second]], system[k, column[edge.first]] = weight, -weight
+        steps[k] = weight * length * (rotations[edge.first] @ edge.estimate.first_from_second.position)
+    system[-1, 0] = np.abs(system).max(initial=1.0)
+    found = np.linalg.lstsq(system, steps, rcond=None)[0]
+    return {panorama: found[k] - found[0] for panorama, k in column.items()}
+
+
+def shortest_path(positions: Mapping[int, np.ndarray], edges: Sequence[Edge]) -> list[int]:
+    """All panoramas in an order for walking: a short way that prefers pairs whose pictures match.
+
+    The nearest one next, from the best start, and then stretches are turned round as long as that shortens the way.
+    """
+    names = sorted(positions)
+    places = np.stack([positions[name] for name in names])
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    matched = {frozenset((edge.first, edge.second)) for edge in edges}
+    unmatched = [[frozenset((a, b)) not in matched for b in names] for a in names]
+    cost = distance * np.where(unmatched, 3.0, 1.0)
+    ways = [_nearest_next(cost, start) for start in range(len(names))]
+    best = _improved(min(ways, key=lambda way: _way_length(way, cost)), cost)
+    return [names[k] for k in (best if best[0] <= best[-1] else best[::-1])]
+
+
+def _nearest_next(cost: np.ndarray, start: int) -> list[int]:
+    way, left = [start], set(range(len(cost))) - {start}
+    while left:
+        way.append(min(left, key=lambda k: (cost[way[-1], k], k)))
+        left.remove(way[-1])
+    return way
+
+
+def _improved(way: list[int], cost: np.ndarray) -> list[int]:
+    """Two-opt: the way with stretches turned round."""
+    is_shorter = True
+    while is_shorter:
+        is_shorter = False
+        for begin, end in combinations(range(len(way) + 1), 2):
+            turned = way[:begin] + way[begin:end][::-1] + way[end:]
+            if _way_length(turned, cost) < _way_length(way, cost) - 1e-9:
+                way, is_shorter = turned, True
+    return way
+
+
+def _way_length(way: list[int], cost: np.ndarray) -> float:
+    return float(cost[way[:-1], way[1:]].sum())
+
+
+def _log_length_ratio(a: Edge, b: Edge) -> tuple[float, int] | None:
+    """Logarithm of the length of a over that of b from points that both see, and how many points."""
+    shared = {a.first, a.second} & {b.first, b.second}
+    if len(shared) != 1:
+        return None
+    distances = []
+    for edge in (a, b):
+        pose, own, other = edge.seen_from(next(iter(shared)))
+        distances.append(_distances(pose, own, other, edge.matches.pixel))
+    both = distances[0].keys() & distances[1].keys()
+    if len(both) < MIN_SHARED_POINTS:
+        return None
+    # one distance in two units: it counts more units of the shorter baseline
+    return float(np.median([math.log(distances[1][key] / distances[0][key]) for key in sorted(both)])), len(both)
+
+
+def _distances(pose: Pose, first: np.ndarray, second: np.ndarray, pixel: float) -> dict[bytes, float]:
+    """Distances of points from the first camera in baselines, by their direction there."""
+    turned = second @ pose.rotation.T
+    parallax = np.linalg.norm(np.cross(first, turned), axis=1)
+    side = np.linalg.norm(np.cross(pose.position, turned), axis=1)
+    chosen = np.flatnonzero((parallax > math.sin(MIN_PARALLAX_PIXELS * pixel)) & (side > 0))
+    return {first[k].tobytes(): float(side[k] / parallax[k]) for k in chosen}

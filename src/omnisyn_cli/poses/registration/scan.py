@@ -1,0 +1,98 @@
+"""What is read from a panorama to register it: features, straight lines, and the zenith that they tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.poses.registration.features import Features, Matches, find_grey_features, grey_of, match_features
+from omnisyn_cli.poses.registration.gravity import Lines, Vertical, find_lines, find_vertical
+from omnisyn_cli.poses.registration.levelled_features import (
+    LevelledFeatures,
+    find_levelled_features,
+    match_levelled_features,
+)
+from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose
+
+ENOUGH_INLIERS = 60
+"""Agreeing matches from which on no more are looked for; with fewer, a pose is often off by a degree."""
+
+
+LIKENESS_FEATURES = 600
+"""Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take."""
+
+SMALL_ROWS = 256
+"""Rows of the picture in colour that floors are looked for in."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One panorama as registration sees it.
+
+    Attributes:
+        grey: reduced luma.
+        small: the picture in colour at :data:`SMALL_ROWS`.
+        usable: where it may be used; None is everywhere.
+        features: the strongest features.
+        lines: straight lines.
+        threads: at most this many in OpenCV.
+    """
+
+    grey: UInt8[np.ndarray, "height width"]
+    small: Float[np.ndarray, "rows cols 3"]
+    usable: Bool[np.ndarray, "all_rows all_cols"] | None
+    features: Features
+    lines: Lines
+    threads: int | None = None
+
+    @cached_property
+    def vertical(self) -> Vertical:
+        """The zenith in the camera's frame."""
+        return find_vertical(self.lines)
+
+    @cached_property
+    def levelled(self) -> LevelledFeatures:
+        """Features of walls and floor; found when they are first asked for."""
+        return find_levelled_features(self.grey, self.vertical.up, self.usable, self.threads)
+
+
+def scan_panorama(
+    image: Float[np.ndarray, "height width 3"],
+    usable: Bool[np.ndarray, "height width"] | None = None,
+    threads: int | None = None,
+) -> Scan:
+    """Look for features and lines in a panorama, RGB in [0, 1]."""
+    grey = grey_of(image)
+    small = cv2.resize(np.asarray(image, np.float32), (2 * SMALL_ROWS, SMALL_ROWS), interpolation=cv2.INTER_AREA)
+    return Scan(grey, small, usable, find_grey_features(grey, usable, threads), find_lines(grey, usable), threads)
+
+
+def likeness(first: Scan, second: Scan) -> int:
+    """How many of the strongest features match: quickly found, and enough to rank pairs by."""
+    return len(match_features(*(scan.features.strongest(LIKENESS_FEATURES) for scan in (first, second))))
+
+
+def register_pair(
+    first: Scan, second: Scan, known: tuple[Pose, ...] = (), *, is_thorough: bool = True
+) -> tuple[Estimate | None, Matches]:
+    """The relative pose of two panoramas, and the matches that it was found from.
+
+    Where few matches agree, walls and floors are compared as well, if the search is thorough.
+    """
+    verticals = None
+    if first.vertical.is_certain and second.vertical.is_certain:
+        verticals = first.vertical.up, second.vertical.up
+    matches = match_features(first.features, second.features)
+    estimate = estimate_relative_pose(matches, known, verticals)
+    is_sure = estimate is not None and (estimate.have_same_position or estimate.inliers.sum() >= ENOUGH_INLIERS)
+    if is_sure or not is_thorough:
+        return (estimate if is_sure else None), matches
+    if estimate is not None:
+        known = (*known, estimate.first_from_second)
+    matches += match_levelled_features(first.levelled, second.levelled)
+    return estimate_relative_pose(matches, known, verticals), matches
