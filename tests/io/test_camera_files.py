@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import OpenImageIO
 import pytest
-from io_samples import smooth_image, write_with, xmp_packet
+from io_samples import exif_of, smooth_image, write_with, xmp_packet
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io import read_header, read_mask, read_panorama, write_image
@@ -230,3 +230,11 @@ def test_reduced_crops_and_alpha_keep_only_what_is_known(tmp_path):
     np.testing.assert_array_equal(np.flatnonzero(panorama.mask.all(axis=1)), np.arange(16, 48))
     assert np.abs(panorama.image[panorama.mask] * 255 - 90).max() < 3
     assert OpenImageIO.geterror() == ""
+
+
+def test_places_of_telephones_are_read(tmp_path):
+    """EXIF goes along: a HEIC picture knows where it was taken."""
+    place = {"GPS:Latitude": ("float[3]", (48, 6, 30.0)), "GPS:LatitudeRef": "N"}
+    jpeg = write_with(tmp_path / "a.jpg", smooth_image(), **place).read_bytes()
+    path = write_with_pillow(tmp_path / "a.heic", smooth_image(64, 128), exif=b"Exif\0\0" + exif_of(jpeg))
+    assert read_header(path).degrees("GPS:Latitude", "S") == pytest.approx(48 + 6.5 / 60)

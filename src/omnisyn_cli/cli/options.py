@@ -69,11 +69,6 @@ nadir_option = click.option(
 )  # fmt: skip
 
 
-upper_half_option = click.option(
-    "--upper-half", is_flag=True, help="Use the upper half of every panorama: one eye of top-bottom stereo."
-)
-
-
 tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
@@ -83,7 +78,11 @@ tour_options = all_of(
     ),
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
-        help="Distance between neighbours, for --poses auto.  [default: 1]",
+        help="Mean distance between neighbours, for --poses auto.  [default: 1]",
+    ),
+    click.option(
+        "--camera-height", metavar="METRES", type=FiniteRange(0, min_open=True),
+        help="Height of the cameras above the floor, for --poses auto, instead of --baseline.",
     ),
     click.option("--refine", is_flag=True, help="Correct the poses where the pictures allow it."),
 )  # fmt: skip
@@ -113,9 +112,10 @@ cut_options = all_of(
 )  # fmt: skip
 """Where surfaces are cut; one of them."""
 
-size_options = all_of(
-    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
-    upper_half_option,
+reading_options = all_of(
+    click.option(
+        "--upper-half", is_flag=True, help="Use the upper half of every panorama: one eye of top-bottom stereo."
+    ),
     click.option(
         "--hfov", metavar="DEGREES", type=DegreeRange(0, 360, min_open=True),
         help="Panoramas without tags are parts of the sphere, this wide; the rest is filled in.",
@@ -128,6 +128,12 @@ size_options = all_of(
         "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5, show_default=True,
         help="Where their horizon is, from 0 at the top to 1 at the bottom.",
     ),
+)  # fmt: skip
+"""What of the sphere pictures show, where their files do not say it."""
+
+size_options = all_of(
+    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
+    reading_options,
     click.option(
         "--view-transform/--no-view-transform", default=True,
         help="Show linear light of EXR and HDR files as screens do, or take its numbers.  [default: show it]",
@@ -162,6 +168,7 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
         ending: that of the output if nobody named it, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
     """
     from omnisyn_cli.interpolation.inputs import named_tour, poses_beside
+    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 
     images, poses, output = options["images"], options["poses"], options["output"]
     if poses is None and not poses_beside(images):
@@ -173,7 +180,9 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
             "(--poses auto), or name the pose file (--poses FILE)"
         )
     tour = named_tour(images, poses, allow_outside=options["allow_outside"])
-    return {**options, "images": tour.images, "poses": tour.poses, "output": output or tour.output(ending())}
+    finds_order = tour.poses == POSES_FROM_PICTURES and images[0].is_dir()
+    output = output or tour.output(ending())
+    return {**options, "images": tour.images, "poses": tour.poses, "output": output, "finds_order": finds_order}
 
 
 def check_one_cut(options: Mapping[str, Any]) -> None:

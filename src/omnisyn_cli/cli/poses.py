@@ -18,7 +18,7 @@ from omnisyn_cli.cli.options import (
     masks_option,
     outside_option,
     quiet_option,
-    upper_half_option,
+    reading_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.terminal import print_json, say
@@ -55,7 +55,7 @@ picture_options = all_of(
     cap_option,
     click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]"),
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
-    upper_half_option,
+    reading_options,
 )
 
 
@@ -272,11 +272,13 @@ def estimate(
     _report([*found.notes, f"{output}: {len(found.panoramas)} poses"], quiet)
 
 
-def _picture_options(nadir: float, upper_half: bool, **options: Any) -> PictureOptions:
+def _picture_options(
+    nadir: float, upper_half: bool, hfov: float | None, vfov: float | None, horizon: float, **options: Any
+) -> PictureOptions:
     from omnisyn_cli.io.placement import Reading
     from omnisyn_cli.poses.estimation import PictureOptions
 
-    return PictureOptions(nadir=nadir, reading=Reading(upper_half), **options)
+    return PictureOptions(nadir=nadir, reading=Reading(upper_half, hfov, vfov, horizon), **options)
 
 
 def _report(notes: Sequence[str], quiet: bool) -> None:
