@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +33,7 @@ def models(folder: Path | None, as_json: bool) -> None:
 
     from omnisyn_cli.runtime.models import find_model, read_manifest
 
-    if folder is not None and not folder.is_dir():
+    if folder is not None and not os.path.isdir(folder):  # noqa: PTH112 - which raises nothing, whatever the name
         raise InputError(f"{folder}: expected a folder of models, got none; check the name")
     entries = read_manifest(folder)
     for name in entries:

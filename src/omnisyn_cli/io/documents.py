@@ -58,13 +58,20 @@ def read_text(
 ) -> str:
     """The text of a file that users write, in UTF-8 with or without a byte order mark.
 
-    What is missing, unreadable, larger than ``largest`` bytes or no UTF-8 raises ``error``, which expects ``what``.
+    Every end of a line is a line feed. What is missing, unreadable, a device, larger than ``largest`` bytes or no UTF-8
+    raises ``error``, which expects ``what``.
     """
     try:
-        size = path.stat().st_size
-        if size > largest:
-            raise error(f"{path}: expected at most {largest:,} bytes, got {size:,}; split the file")
-        return path.read_text(encoding="utf-8-sig")
+        status = path.stat()
+        if stat.S_ISCHR(status.st_mode) or stat.S_ISBLK(status.st_mode):
+            raise error(f"{path}: expected {what}, got a device; check the name")
+        if status.st_size > largest:
+            raise error(f"{path}: expected at most {largest:,} bytes, got {status.st_size:,}; split the file")
+        with path.open("rb") as file:
+            data = file.read(largest + 1)  # a pipe does not say beforehand how much there is
+        if len(data) > largest:
+            raise error(f"{path}: expected at most {largest:,} bytes, got more; split the file")
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as failure:
         raise error(f"{path}: expected {what}, got '{failure.strerror}'; check the name") from failure
     except ValueError as failure:

@@ -64,17 +64,17 @@ def read_mesh(path: Path, scale: float = 1.0, *, z_up: bool = False) -> Textured
     """
     if not path.is_file():
         raise InputError(f"expected a mesh at {path}, found no file")
-    mesh = _read_archive(path) if path.suffix == ".npz" else _read_scene(path, z_up)
-    return _checked(mesh, path, scale)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
+        mesh = _read_archive(path) if path.suffix == ".npz" else _read_scene(path, z_up)
+        return _checked(mesh, path, scale)
 
 
 def _checked(mesh: TexturedMesh, path: Path, scale: float) -> TexturedMesh:
     if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
         raise InputError(f"expected triangles of the vertices of {path}, found others; export it again")
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
-        vertices = (mesh.vertices * np.float32(scale)).astype(np.float32)
-        corners = vertices[mesh.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    vertices = (mesh.vertices * np.float32(scale)).astype(np.float32)
+    corners = vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     kept = np.isfinite(corners).all(axis=(1, 2)) & np.isfinite(area) & (area > MIN_AREA)
     if not kept.any():
         raise InputError(f"expected triangles in {path}, found none that have an area; export it again")

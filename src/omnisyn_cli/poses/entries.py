@@ -36,8 +36,8 @@ def path_problem(name: str, *, allow_outside: bool = False) -> str | None:
     """What keeps a name from being a file inside the pose file's folder (or anywhere, if allowed), or None."""
     if not name or name in (".", ".."):
         return "empty"
-    if re.search(r"[\0-\x1f\\]", name):
-        return "with a backslash or control character"
+    if re.search(r"[\0-\x1f\\\ud800-\udfff]", name):
+        return "with a backslash, or a character that is no text"
     if allow_outside:
         return None
     if PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.training.tasks import TASKS
 from omnisyn_cli.training.walks import WalkConfig
 
@@ -109,14 +110,12 @@ def read_recipe(path: Path) -> Recipe:
         InputError: no such file, no TOML, or unknown, missing or impossible values.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(read_text(path, "a recipe", error=InputError))
         stages = tuple(Stage(**stage) for stage in values.pop("stages", []))
         lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
         recipe = Recipe(stages=stages, **(values | lists))
         _check(recipe, path)
-    except FileNotFoundError:
-        raise InputError(f"expected a recipe at {path}, found no file") from None
-    except (OSError, ValueError, TypeError, RecursionError) as error:  # of TOML, UTF-8, and of kinds of values
+    except (ValueError, TypeError, ArithmeticError, RecursionError) as error:  # of TOML, and of values of other kinds
         raise InputError(f"expected a recipe in {path}, got '{error!s:.160}'") from error
     return recipe
 

@@ -177,12 +177,12 @@ def read_table(path: Path) -> tuple[Figures, ...]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != TABLE_VERSION:
-            raise ValueError(f"version {content['version']}")
+            raise ValueError(f"version {content['version']!s:.60}")
         return tuple(FIGURES.validate_python(values) for values in content["figures"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(
-            f"{path}: expected a table of version {TABLE_VERSION} from `omnisyn bench --store`, got '{error}'; write "
-            "it anew"
+            f"{path}: expected a table of version {TABLE_VERSION} from `omnisyn bench --store`, got '{error!s:.200}'; "
+            "write it anew"
         ) from error
 
 

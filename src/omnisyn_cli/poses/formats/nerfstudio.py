@@ -66,7 +66,11 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
         if len(matrix) == 4 and np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
             raise PoseError(f"{where}: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
         rotation = checked_rotation(f"{where}.transform_matrix", matrix[:3, :3])
-        pose = options.pose(Pose(rotation, matrix[:3, 3] / scale), camera="opengl", up="z")
+        with np.errstate(over="ignore"):
+            position = matrix[:3, 3] / scale
+        if not np.isfinite(position).all():
+            raise PoseError(f"{where}: expected a finite position, got {position.tolist()}; check applied_scale")
+        pose = options.pose(Pose(rotation, position), camera="opengl", up="z")
         name = frame.file_path.removeprefix("./")
         views.append(find_view(where, name, pose, [path.parent], options))
     if not views:
