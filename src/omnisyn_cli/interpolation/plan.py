@@ -322,8 +322,8 @@ def frame_count(job: InterpolationJob) -> int:
         )
     seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
     count = job.frames if job.frames is not None else seconds * job.fps
-    if not math.isfinite(count) or count > MAX_FRAMES:
-        raise InputError(f"expected at most {MAX_FRAMES:,} frames, got {count:g}; ask for fewer")
+    if not count <= MAX_FRAMES:
+        raise InputError(f"expected at most {MAX_FRAMES:,} frames, got {min(count, 1e300):g}; ask for fewer")
     if round(count) < len(job.images):
         raise InputError(
             f"expected at least {len(job.images)} frames, one for each panorama, got {round(count)}; "
