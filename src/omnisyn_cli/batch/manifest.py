@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from omnisyn_cli.batch.schema import JOB_KEYS, OUTPUTS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.interpolation.checks import check_choices, check_method
+from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
@@ -239,6 +239,7 @@ def _check_together(options: dict[str, Any], *, is_found: bool) -> None:
 
 def _check_feasible(job: InterpolationJob) -> None:
     """What can be refused without a look at the panoramas; a size that follows from them is always an even one."""
+    check_names(job)
     check_choices(job)
     check_method(job)
     frame_count(job)
