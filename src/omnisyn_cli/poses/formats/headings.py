@@ -22,7 +22,7 @@ from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, rotation_from_
 from omnisyn_cli.io.documents import listed
 
 if TYPE_CHECKING:
-    from omnisyn_cli.poses.registration.features import Features
+    from omnisyn_cli.poses.registration.scan import Scan
 
 Rotations = dict[str, Float[np.ndarray, "3 3"]]
 
@@ -41,11 +41,11 @@ def rotations_by_neighbours(
 
     A panorama is left out where all were taken in one place and pictures tell nothing.
     """
-    features_of = lru_cache(maxsize=2)(_features)
+    scan_of = lru_cache(maxsize=2)(_scan)
     relative = {
         pair: pose
         for pair in pairwise(positions)
-        if not set(pair) <= set(known) and (pose := _relative_pose(*(features_of(images[k]) for k in pair))) is not None
+        if not set(pair) <= set(known) and (pose := _relative_pose(*(scan_of(images[k]) for k in pair))) is not None
     }
     found = dict(known)
     _carry_on(found, relative)
@@ -74,26 +74,26 @@ def rotations_by_neighbours(
     return {name: rotation for name, rotation in found.items() if name not in known}, notes
 
 
-def _features(path: Path | None) -> Features | None:
+def _scan(path: Path | None) -> Scan | None:
     """What is distinctive in a panorama; None of a picture that is none."""
     # OpenCV takes a while to import and is needed only where headings are missing.
     from omnisyn_cli.io import read_panorama
-    from omnisyn_cli.poses.registration.features import find_features
+    from omnisyn_cli.poses.registration.scan import scan_panorama
 
     try:
-        return None if path is None else find_features(read_panorama(path).image)
+        panorama = None if path is None else read_panorama(path)
     except ImageError:
         return None
+    return None if panorama is None else scan_panorama(panorama.image, panorama.mask)
 
 
-def _relative_pose(first: Features | None, second: Features | None) -> Pose | None:
+def _relative_pose(first: Scan | None, second: Scan | None) -> Pose | None:
     """Rotation and direction of the second camera in the frame of the first, if their pictures tell them."""
-    from omnisyn_cli.poses.registration.features import match_features
-    from omnisyn_cli.poses.registration.robust import estimate_relative_pose
+    from omnisyn_cli.poses.registration.scan import register_pair
 
     if first is None or second is None:
         return None
-    estimate = estimate_relative_pose(match_features(first, second))
+    estimate, _ = register_pair(first, second)
     return None if estimate is None else estimate.first_from_second
 
 
