@@ -105,7 +105,7 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
     areas = sorted(int(cap.sum()) for cap in caps)
     has_cap = areas[0] > 0 and areas[1] < MAX_CAP_AREA_RATIO * areas[0]
     still = _still(maps, (first, second))
-    found = [kept | cap if has_cap else kept for kept, cap in zip(still, caps, strict=True)]
+    found = [still | cap if has_cap else still for cap in caps]
     masks = [
         _on_sphere(_dilated(each, MARGIN_PIXELS), view.image.shape[:2]) if each.any() else None
         for each, view in zip(found, (first, second), strict=True)
@@ -238,14 +238,14 @@ def _round_cap(image: np.ndarray) -> Mask:
     return np.zeros(radius.shape, bool)
 
 
-def _still(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> tuple[Mask, Mask]:
+def _still(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> Mask:
     """What keeps its place in both maps although the ground there has moved."""
     nothing = np.zeros(maps[0].image.shape[:2], bool)
     way = views[1].pose.position - views[0].pose.position
     repeats = [_repeated_axes(each, view.pose, way) for each, view in zip(maps, views, strict=True)]
     height = _ground_height(maps, views, repeats[0])
     if height is None:
-        return nothing, nothing
+        return nothing
     in_place = [np.full(nothing.shape, -1.0, np.float32) for _ in maps]
     difference = [np.full(nothing.shape, 9.0, np.float32) for _ in maps]
     smooth = [cv2.blur(each.image, (3, 3)) for each in maps]
@@ -274,7 +274,12 @@ def _still(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> tuple
         seeds = is_moving & is_other & is_like & (repeats[k] < 2)
         rest = (difference[k] < MAX_STILL_DIFFERENCE) & (step > MIN_GROUND_DIFFERENCE)
         kept.append(_objects(seeds, seeds | (_dilated(seeds, GROWTH_PIXELS) & is_moving & rest)))
-    return kept[0] & _dilated(kept[1], GROWTH_PIXELS), kept[1] & _dilated(kept[0], GROWTH_PIXELS)
+    return _without_holes((kept[0] & _dilated(kept[1], GROWTH_PIXELS)) | (kept[1] & _dilated(kept[0], GROWTH_PIXELS)))
+
+
+def _without_holes(mask: Mask) -> Mask:
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return np.asarray(cv2.drawContours(np.zeros(mask.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0)
 
 
 def _objects(seeds: Mask, region: Mask) -> Mask:
@@ -287,8 +292,7 @@ def _objects(seeds: Mask, region: Mask) -> Mask:
         part = label == number
         has_seeds = np.count_nonzero(part & seeds) * DEG_PER_PIXEL**2 >= MIN_AREA_DEG2
         if has_seeds and radius[part].min() <= MAX_START_DEG:
-            outlines, _ = cv2.findContours(part.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            kept |= cv2.drawContours(np.zeros(part.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0
+            kept |= part
     return kept
 
 

@@ -18,6 +18,7 @@ from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererClass, R
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
+from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
@@ -99,27 +100,30 @@ def prepare_pair(
 ) -> PreparedPair:
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
     depths, check = measure_pair(index, tour, options, clock)
-    views = first, second = tour.views[index], tour.views[index + 1]
+    whole = tour.views[index], tour.views[index + 1]
+    with clock("mesh"):
+        (first, second), drawn_depths = continue_ground(whole, depths)
     masked_fade = None
-    if any(view.shows_masked and view.mask is not None for view in views):
-        masked_fade = MaskedFade(views, options.size, options.threads)
+    if any(view.shows_masked and view.mask is not None for view in whole):
+        masked_fade = MaskedFade(whole, options.size, options.threads)
     poses = (first.pose, second.pose)
     if device is not None:
         with clock("mesh"):
             surfaces = [
                 device.surface(usable_image(view, options), view.mask, depth, options.cut)
-                for view, depth in zip(views, depths, strict=True)
+                for view, depth in zip((first, second), drawn_depths, strict=True)
             ]
             pair = device.pair(surfaces[0], surfaces[1], check.curve)
         triangles = (pair.triangles, pair.triangles)
         return PreparedPair(index, poses, depths, pair.surfaces, check, None, masked_fade, triangles, pair)
     with clock("mesh"), limited_threads(options.threads):
         renderers = both(
-            lambda: _renderer(first, second, depths[0], options), lambda: _renderer(second, first, depths[1], options)
+            lambda: _renderer(first, second, drawn_depths[0], options),
+            lambda: _renderer(second, first, drawn_depths[1], options),
         )
     cross_fade = None
     if options.cross_fade and check.confidence.score < MIN_PAIR_SCORE:
-        images = [usable_image(view, options) for view in views]
+        images = [usable_image(view, options) for view in (first, second)]
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None

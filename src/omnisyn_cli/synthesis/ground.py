@@ -1,0 +1,205 @@
+"""The ground continued where a panorama is masked around its nadir: a cap, a tripod, an operator.
+
+The ground is a horizontal plane at the height that most of the depth around the gap agrees on. Its colours come from
+the other panorama of the pair where that sees the same ground, else from a patch of the own ground nearby. The patch is
+the one whose surroundings fit best around the gap (Criminisi et al., Region filling by exemplar-based inpainting, 2004,
+with one patch for the whole gap).
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.regions import connected_regions
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale, solid_angles
+from omnisyn_cli.types import DepthEstimate, View
+
+__all__ = ["continue_ground"]
+
+Views = tuple[View, View]
+Depths = tuple[DepthEstimate, DepthEstimate]
+
+MAX_GROUND_DEG, MAX_START_DEG = 60.0, 40.0
+"""Up to which angle from the nadir ground is continued, and within which a masked region has to begin. Set by hand."""
+
+RING_DEG = 12.0
+"""Degrees around a gap whose depth says where its ground is. Set by hand."""
+
+MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE = 0.4, 0.1
+"""Share of what is known around a gap that has to agree on a height, and the relative range that counts as one."""
+
+SAME_GROUND_TOLERANCE = 0.12
+"""Relative difference of inverse depth up to which a pixel shows the ground. Set by hand."""
+
+GROUND_CONFIDENCE = 0.05
+"""Confidence of continued ground: what the other panorama shows there counts more. Set by hand."""
+
+MAX_GAIN = 2.0
+"""Ratio of brightness between the panoramas that is believed. Set by hand."""
+
+MIN_RING_PIXELS = 32
+"""Pixels around a gap that brightness can be compared at. Set by hand."""
+
+RING_PIXELS = 12
+"""Pixels around a gap that a patch has to fit. Set by hand."""
+
+MAX_FLAT_ROWS = 900
+"""Rows of the ground seen from above in which patches are looked for. Set by hand."""
+
+
+def continue_ground(views: Views, depths: Depths) -> tuple[Views, Depths]:
+    """Views and depths in which masked regions around the nadir are ground; the very same where there are none."""
+    first = _continued(views[0], views[1], depths[0], depths[1])
+    second = _continued(views[1], views[0], depths[1], depths[0])
+    return (first[0], second[0]), (first[1], second[1])
+
+
+def _continued(view: View, other: View, depth: DepthEstimate, other_depth: DepthEstimate) -> tuple[View, DepthEstimate]:
+    """One of both views."""
+    gap = _gap(view)
+    if gap is None or view.mask is None:
+        return view, depth
+    height = _height(view, depth, gap)
+    if height is None:
+        return view, depth
+    image = np.array(view.image, np.float32)
+    rows, cols = np.nonzero(gap)
+    directions = pixel_directions(*gap.shape)
+    seen, colour = _seen_by_other(directions[rows, cols], view, other, other_depth, height)
+    ring = (cv2.dilate(gap.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0) & view.mask
+    image[rows[seen], cols[seen]] = colour[seen] * _gain(
+        image[ring], directions[ring], view, other, other_depth, height
+    )
+    missing = np.zeros_like(gap)
+    missing[rows[~seen], cols[~seen]] = True
+    filled = gap if not missing.any() or _patched(image, missing, view, depth, height) else gap & ~missing
+    mask = view.mask | filled
+    rho = _plane(pixel_directions(*depth.inverse_depth.shape), view, height)
+    here = sample_nearest(filled.astype(np.float32), pixel_directions(*rho.shape)) > 0.5
+    known = DepthEstimate(
+        np.where(here, rho, depth.inverse_depth).astype(np.float32),
+        np.where(here, np.float32(GROUND_CONFIDENCE), depth.confidence).astype(np.float32),
+        depth.stereo_valid,
+    )
+    return replace(view, image=image, image_uint8=None, mask=None if mask.all() else mask), known
+
+
+def _gap(view: View) -> Bool[np.ndarray, "height width"] | None:
+    """Masked pixels that are to be ground; None if there are none."""
+    if view.mask is None or view.mask.all():
+        return None
+    height = view.mask.shape[0]
+    low, start = (int(height * (1.0 - angle / 180.0)) for angle in (MAX_GROUND_DEG, MAX_START_DEG))
+    gap = ~view.mask
+    gap[:low] = False
+    label = connected_regions(gap, is_diagonal=True)
+    gap &= np.isin(label, np.unique(label[start:]))
+    return gap if gap.any() else None
+
+
+def _plane(directions: np.ndarray, view: View, height: float) -> Float[np.ndarray, "..."]:
+    """Inverse depth of the ground in directions in the frame of the camera."""
+    return np.asarray(np.maximum(-(directions @ view.pose.rotation[1]), 0.0) / height)
+
+
+def _height(view: View, depth: DepthEstimate, gap: Bool[np.ndarray, "height width"]) -> float | None:
+    """Height above the ground: the one that most of the depth around the gap agrees on; None without any."""
+    size = depth.inverse_depth.shape
+    directions = pixel_directions(*size)
+    reach = max(1, round(size[0] * RING_DEG / 180.0))
+    inside = sample_nearest(gap.astype(np.float32), directions)
+    ring = cv2.dilate(inside, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0.5
+    ring &= sample_nearest(np.asarray(view.mask, np.float32), directions) > 0.5
+    down, rho = _plane(directions, view, 1.0), depth.inverse_depth
+    usable = ring & (rho > 0.0) & (down > 0.0)
+    weight = (solid_angles(*size) * depth.confidence)[usable]
+    if weight.sum() <= 0.0:
+        return None
+    heights = np.log(down[usable] / rho[usable])
+    order = np.argsort(heights)
+    heights, sums = heights[order], np.concatenate([[0.0], np.cumsum(weight[order])])
+    ends = np.searchsorted(heights, heights + HEIGHT_TOLERANCE)
+    within = sums[ends] - sums[: len(heights)]
+    best = int(np.argmax(within))
+    if within[best] < MIN_HEIGHT_SHARE * sums[-1]:
+        return None
+    return float(np.exp(np.median(heights[best : ends[best]])))
+
+
+def _seen_by_other(
+    directions: Float[np.ndarray, "pixels 3"], view: View, other: View, other_depth: DepthEstimate, height: float
+) -> tuple[Bool[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
+    """Where the other view sees the ground that lies in directions of a view, and its colours."""
+    distance = 1.0 / np.maximum(_plane(directions, view, height), 1e-6)
+    world = (directions @ view.pose.rotation.T) * distance[:, None] + view.pose.position - other.pose.position
+    rho = 1.0 / np.maximum(np.linalg.norm(world, axis=-1), 1e-9)
+    to_ground = (world * rho[:, None]) @ other.pose.rotation
+    known = sample_nearest(other_depth.inverse_depth, to_ground)
+    seen = np.abs(known - rho) < SAME_GROUND_TOLERANCE * np.maximum(known, rho)
+    if other.mask is not None:
+        seen &= sample_nearest(other.mask.astype(np.float32), to_ground) > 0.5
+    return np.asarray(seen), np.asarray(sample_bilinear(np.asarray(other.image, np.float32), to_ground))
+
+
+def _gain(
+    own: Float[np.ndarray, "pixels 3"], directions: Float[np.ndarray, "pixels 3"], view: View, other: View,
+    other_depth: DepthEstimate, height: float,
+) -> Float[np.ndarray, " 3"]:  # fmt: skip
+    """How much brighter the ground around a gap is than the other view shows it, by channel."""
+    seen, colour = _seen_by_other(directions, view, other, other_depth, height)
+    if np.count_nonzero(seen) < MIN_RING_PIXELS:
+        return np.ones(3, np.float32)
+    ratio = np.median(own[seen], axis=0) / np.maximum(np.median(colour[seen], axis=0), 1e-3)
+    return np.asarray(np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN), np.float32)
+
+
+def _patched(
+    image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View,
+    depth: DepthEstimate, height: float,
+) -> bool:  # fmt: skip
+    """Fill a gap of the image, in place, with a patch of the ground around; whether one fits.
+
+    The ground is seen from above, so that a pattern keeps its shape wherever it is.
+    """
+    reach = float(np.tan(np.radians(MAX_GROUND_DEG)))
+    count = min(MAX_FLAT_ROWS, round(2.0 * reach * pixel_scale(gap.shape)[0]))
+    axis = (np.arange(count) + 0.5) * (2.0 * reach / count) - reach
+    x, y = np.meshgrid(axis, axis)
+    world = np.stack([x, np.full_like(x, -1.0), y], axis=-1)
+    directions = (world / np.linalg.norm(world, axis=-1, keepdims=True)) @ view.pose.rotation
+    flat = np.asarray(sample_bilinear(image, directions), np.float32)
+    hole = np.asarray(sample_nearest(gap.astype(np.float32), directions) > 0.5)
+    known, plane = sample_nearest(depth.inverse_depth, directions), _plane(directions, view, height)
+    valid = (np.abs(known - plane) < SAME_GROUND_TOLERANCE * np.maximum(known, plane)) & ~hole
+    valid &= sample_nearest(np.asarray(view.mask, np.float32), directions) > 0.5
+    rows, cols = (np.flatnonzero(hole.any(axis=k)) for k in (1, 0))
+    if not len(rows):
+        return False
+    top, left = max(rows[0] - RING_PIXELS, 0), max(cols[0] - RING_PIXELS, 0)
+    box = slice(top, rows[-1] + RING_PIXELS + 1), slice(left, cols[-1] + RING_PIXELS + 1)
+    ring = (cv2.dilate(hole.astype(np.uint8), np.ones((2 * RING_PIXELS + 1,) * 2, np.uint8)) > 0) & valid
+    if max(ring[box].shape) > count // 2 or np.count_nonzero(ring[box]) < MIN_RING_PIXELS:
+        return False
+    weight = np.repeat(ring[box].astype(np.float32)[..., None], 3, axis=2)
+    misfit = cv2.matchTemplate(flat, flat[box], cv2.TM_SQDIFF, mask=weight)
+    lacking = cv2.matchTemplate((~valid).astype(np.float32), hole[box].astype(np.float32), cv2.TM_CCORR)
+    misfit[lacking > 0.5] = np.inf
+    row, col = np.unravel_index(int(np.argmin(misfit)), misfit.shape)
+    if not np.isfinite(misfit[row, col]):
+        return False
+    patch = flat[row : row + ring[box].shape[0], col : col + ring[box].shape[1]].copy()
+    sigma = 0.25 * max(patch.shape[:2])
+    step = cv2.GaussianBlur((flat[box] - patch) * weight, (0, 0), sigma)
+    patch += step / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-6)
+    soft = cv2.GaussianBlur(hole[box].astype(np.float32), (0, 0), 2.0)[..., None]
+    flat[box] = np.where(hole[box][..., None], patch, flat[box] + (patch - flat[box]) * soft * weight)
+    first = int(np.flatnonzero(gap.any(axis=1))[0])
+    seen = pixel_directions(*gap.shape)[first:] @ view.pose.rotation.T
+    scale = count / (2.0 * reach) / np.maximum(-seen[..., 1], 1e-3)
+    col, row = ((seen[..., k] * scale + 0.5 * count - 0.5).astype(np.float32) for k in (0, 2))
+    continued = cv2.remap(flat, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    image[first:][gap[first:]] = continued[gap[first:]]
+    return True
