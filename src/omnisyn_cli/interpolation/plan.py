@@ -376,14 +376,13 @@ def _notes_about_size(
 
 
 def _notes_about_pictures(job: TourJob) -> Iterator[str]:
-    squeezed = [
-        image.name
-        for image in job.images
-        if not job.allow_aspect and is_squeezed(placement_of(read_header(image), reading_of(job)))
-    ]
+    headers, reading = [read_header(image) for image in job.images], reading_of(job)
+    squeezed = [h.path.name for h in headers if not job.allow_aspect and is_squeezed(placement_of(h, reading))]
     if squeezed:
         yield f"{listed(squeezed)}: 16:9, taken for squeezed frames of a 360° video and stretched to 2:1"
-    if several := [image.name for image in job.images if read_header(image).has_more_pictures]:
+    if linear := [h.path.name for h in headers if h.is_linear and reading.view_transform]:
+        yield f"{listed(linear)}: linear light, shown as on a screen (--no-view-transform takes its numbers)"
+    if several := [h.path.name for h in headers if h.has_more_pictures]:
         yield f"{listed(several)}: holds several pictures or is animated; the first picture is taken"
 
 
