@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO
 import pytest
 
 from interpolation_samples import CHAIN, Hall, edit_poses, job_of, listing, write_entries
@@ -161,6 +162,26 @@ def test_a_mask_of_another_size_is_refused_wherever_it_is_in_a_chain(tmp_path: P
         write_image(tmp_path / f"m{k}.png", mask[:4, :8] if k == 2 else mask)
         masks.append(image.with_name(f"m{k}.png"))
     chain.refuses(InputError, r"m2\.png: expected a mask of 128×64 pixels, got 8×4", masks=tuple(masks))
+
+
+def test_linear_light_is_shown_unless_frames_keep_it(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    light = [read_panorama(image).image ** 2.2 for image in images]
+    for k, samples in enumerate(light):
+        buffer = OpenImageIO.ImageBuf(samples)
+        assert buffer.write(str(tmp_path / f"p{k}.exr"))
+    write_entries(tmp_path, [image.with_suffix(".exr") for image in images])
+    pictures = {}
+    for codec, changes in (("png", {}), ("exr", {}), ("tif", {"view_transform": False})):
+        out = tmp_path / codec
+        panoramas = [image.with_suffix(".exr") for image in images]
+        plan = plan_interpolation(job_of(tmp_path, panoramas, codec=codec, output=out, **changes))
+        assert any("linear light" in note for note in plan.notes) == (codec == "png")
+        run_interpolation(plan)
+        pictures[codec] = read_panorama(out / f"000000.{codec}").image
+    np.testing.assert_allclose(pictures["exr"], light[0], atol=2e-3)
+    np.testing.assert_allclose(pictures["tif"], light[0], atol=3e-3)
+    assert (pictures["png"] - light[0])[light[0] < 0.5].mean() > 0.1
 
 
 SMALL_PLAYERS = {"h264": 16, "h265": 24}
