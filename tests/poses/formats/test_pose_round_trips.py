@@ -9,8 +9,9 @@ from foreign_samples import axis_angle, imported, samples, write_images
 
 from omnisyn_cli.errors import OutputPathError, PoseError, WriteError
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation.export.datasets import FACES
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses, write_poses
-from omnisyn_cli.poses.formats import EXPORT_FORMATS, ImportedPoses, export_poses, write_imported
+from omnisyn_cli.poses.formats import EXPORT_FORMATS, ImportedPoses, colmap_rig_files, export_poses, write_imported
 
 OUTPUTS = {"colmap": "model", "nerfstudio": "transforms.json", "tum": "trajectory.tum"}
 
@@ -56,6 +57,15 @@ def test_round_trip(tmp_path, format_name):
         np.testing.assert_allclose(pose.rotation, panorama.pose.rotation, atol=1e-9)
         scale = max(1.0, float(np.linalg.norm(panorama.pose.position)))
         np.testing.assert_allclose(pose.position / scale, panorama.pose.position / scale, atol=1e-9)
+
+
+def test_rigs_of_faces_come_back_as_panoramas(tmp_path):
+    poses = {f"{k}.png": Pose(turn, np.array([1.0, -3.0, 0.5]) * k) for k, turn in enumerate(turns())}
+    for name, text in colmap_rig_files(poses, FACES, 64).items():
+        (tmp_path / name).write_text(text)
+    result = imported(tmp_path, expected="colmap")
+    assert [view.name for view in result.views] == list(poses)
+    assert all(view.pose.almost_equals(poses[view.name], radians=1e-7) for view in result.views)
 
 
 def test_colmap_knows_the_sizes(tmp_path):
