@@ -17,7 +17,7 @@ LOCAL_NAMES = (HOST, "localhost")
 
 INDEX_NAME = "index.html"
 
-WALK_FILE = re.compile(rf"{re.escape(INDEX_NAME)}|\d+\.bin", re.ASCII)
+SERVED_NAME = re.compile(rf"{re.escape(INDEX_NAME)}|\d+\.bin", re.ASCII)
 """What :func:`omnisyn_cli.interpolation.viewer.page.page_files` names."""
 
 SOCKET_TIMEOUT_SECONDS = 30
@@ -62,7 +62,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _content(self, name: str) -> bytes | None:
         """A file of the walk; None for every other name, and for links, which lead elsewhere."""
-        return read_file_itself(self._folder / name) if WALK_FILE.fullmatch(name) else None
+        return read_file_itself(self._folder / name) if SERVED_NAME.fullmatch(name) else None
 
     def send_response(self, code: int, message: str | None = None) -> None:
         """The first line of an answer, without name and version of the program."""
