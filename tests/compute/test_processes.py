@@ -44,13 +44,18 @@ def test_workers_import_nothing_from_the_current_directory(tmp_path: Path) -> No
     assert not (folder / "ran").exists()
 
 
-def test_interpreters_are_started_in_one_place_only() -> None:
-    """Whoever needs a process asks ``spawn_context``; Ray has its own way, which its test covers."""
+def test_interpreters_are_started_with_a_safe_path_only() -> None:
+    """Pools and processes are asked of ``spawn_context``; who starts Python itself does so inside ``safe_path``."""
     for path in sorted(PACKAGE.rglob("*.py")):
         if path == PACKAGE / "compute" / "processes.py":
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        contexts = (node for node in ast.walk(tree) if isinstance(node, ast.With))
+        safe = [node for node in contexts if "safe_path()" in map(ast.unparse, (i.context_expr for i in node.items))]
+        allowed = {id(node) for context in safe for node in ast.walk(context)}
+        for node in ast.walk(tree):
             name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
-            assert name not in ("get_context", "executable", "set_start_method"), f"{path}:{node.lineno}"
+            assert name not in ("get_context", "set_start_method"), f"{path}:{node.lineno}"
+            assert name != "executable" or id(node) in allowed, f"{path}:{node.lineno}"
             if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("ProcessPoolExecutor"):
                 assert "mp_context=spawn_context()" in ast.unparse(node), f"{path}:{node.lineno}"
