@@ -36,11 +36,12 @@ MIN_FRAME_WIDTH = 128
 MIN_STEREO_CORRELATION = 0.7
 """Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand."""
 
-MAX_SEAM_STEP = 2.0
-"""By how much more than columns 1/64 of the width apart the first and the last column of a sphere differ."""
+MAX_SEAM_STEP = 0.75
+"""Of what columns 1/64 of the width apart differ by, that the first and the last column do; spheres have a third of it
+at the most, other pictures at least twice as much."""
 
 MAX_POLE_SHARE = 0.5
-"""Of the contrast of a sphere's rows that its first and last row have, each of which shows one point. Set by hand."""
+"""Of the contrast of a sphere's rows that its first or its last row has, which show one point. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ def _check_layout(path: Path, colour: np.ndarray, placement: Placement, *, allow
         rows = colour[::step].astype(np.float64)
         across_seam = np.abs(rows[:, 0] - rows[:, -1]).mean()
         beside = np.abs(np.diff(rows[:, :: max(1, width // 64)], axis=1)).mean()
-        poles = max(row.std(axis=0).mean() for row in (rows[0], colour[-1].astype(np.float64)))
+        poles = min(row.std(axis=0).mean() for row in (rows[0], colour[-1].astype(np.float64)))
         if across_seam > MAX_SEAM_STEP * beside or poles > MAX_POLE_SHARE * rows.std(axis=1).mean():
             raise _aspect_error(path, width, height)
 
