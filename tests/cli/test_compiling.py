@@ -6,7 +6,7 @@ import pytest
 
 from cli.cli_samples import STAGE_LINE, Omnisyn, write_pair
 from omnisyn_cli.cli import progress
-from omnisyn_cli.cli.progress import COMPILING_NOTE, COMPILING_AGAIN, say_when_compiling
+from omnisyn_cli.cli.progress import COMPILING_AGAIN, COMPILING_NOTE, say_when_compiling
 from omnisyn_cli.compute import jit
 from omnisyn_cli.compute.jit import announce_compiling, kernel
 from omnisyn_cli.errors import InputError

@@ -112,7 +112,7 @@ UNCOUNTED_STAGES = ("poses", "reading")
 """Stages that are over when the next one begins."""
 
 STAGE_OF_CLOCK: Mapping[str, str] = {
-    "decode": "reading", "depth": "depth", "walk": "writing", "pack": "writing", "write": "writing",
+    "decode": "reading", "depth": "depth", "pack": "writing", "write": "writing",
 }  # fmt: skip
 """The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to."""
 
