@@ -22,7 +22,12 @@ from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, noted
 
 SPHERICAL = frozenset({"spherical", "equirectangular"})
 
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+MAX_ABSOLUTE = 1e9
+"""Radians or metres; more is a mistake, and its square might overflow."""
+
+Vector = Annotated[
+    list[Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]], Field(min_length=3, max_length=3)
+]  # fmt: skip
 
 
 class Camera(ForeignModel):
