@@ -92,7 +92,7 @@ def estimate_depth(
 
     Raises InputError: a network is missing, or there is no such device.
     """
-    recipe = _recipe(recipe)
+    recipe = _resolved(recipe)
     estimator = make_estimator(recipe.depth, device=recipe.device, threads=threads)
     return estimator(*equalize_exposure(first, second, threads))
 
@@ -127,7 +127,7 @@ def make_frames(
     """
     path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
     is_known = estimator is None and all(view.known_depth is not None for view in views)
-    chosen = _recipe(recipe).of_known_depth() if is_known and isinstance(recipe, str) else _recipe(recipe)
+    chosen = _resolved(recipe).of_known_depth() if is_known and isinstance(recipe, str) else _resolved(recipe)
     height, width = views[0].image.shape[:2] if size is None else frame_size(size)
     method = make_method(chosen, (height, width), threads=threads, estimator=estimator, fuser=fuser)
     for frame in synthesize(views, path, method):
@@ -207,7 +207,7 @@ def _paths(images: Sequence[Path | str]) -> tuple[Path, ...]:
     return tuple(map(Path, images))
 
 
-def _recipe(recipe: Recipe | str) -> Recipe:
+def _resolved(recipe: Recipe | str) -> Recipe:
     if isinstance(recipe, Recipe):
         return recipe
     if recipe not in PRESETS:

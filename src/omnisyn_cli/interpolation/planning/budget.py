@@ -77,9 +77,9 @@ def _check_measured(plan: InterpolationPlan) -> None:
     }
     for name, (given, measured) in asked.items():
         if given not in measured:
-            usual = f"the {name} {measured[0]!r}" if measured[0] else f"no {name}"
+            default = f"the {name} {measured[0]!r}" if measured[0] else f"no {name}"
             raise InputError(
-                f"expected {usual} with a budget, got {given!r}, with which presets were not compared; leave one of "
+                f"expected {default} with a budget, got {given!r}, with which presets were not compared; leave one of "
                 "them out"
             )
 
