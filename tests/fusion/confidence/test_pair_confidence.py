@@ -61,12 +61,26 @@ def test_shares_are_counted_by_solid_angle() -> None:
     assert found.inconsistency == pytest.approx(weight[row >= 28].sum(), abs=1e-6)
 
 
+def test_doubled_contours_lower_the_score_and_areas_without_contrast_do_not_count() -> None:
+    """Stripes beside stripes, against stripes that are brighter by as much as those differ."""
+    stripes = 0.5 + 0.1 * np.sign(np.sin(np.arange(SIZE[1]) * (2 * np.pi / 8) + 0.3)) + np.zeros(SIZE)
+    same, beside, brighter = rendering(stripes), rendering(1.0 - stripes), rendering(stripes + 0.2)
+    doubled, plain = (assess_pair([(same, same)] * 2, (same, other)) for other in (beside, brighter))
+    assert doubled.expected == pytest.approx(plain.expected, abs=1e-3)
+    assert doubled.doubling > 0.99
+    assert plain.doubling == 0.0
+    assert doubled.score < plain.score - 0.1
+    upper = np.arange(SIZE[0])[:, None] < SIZE[0] // 2
+    one, other = (rendering(np.where(upper, values, 0.5)) for values in (stripes, 1.0 - stripes))
+    assert assess_pair([(same, same)] * 2, (one, other)).doubling > 0.9
+
+
 def test_nothing_in_common_is_the_worst() -> None:
     nothing = rendering(0.0, -1.0, 0.0)
     found = assess_pair([(rendering(), nothing)] * 2, (nothing, nothing))
     assert found.score == 0
     assert found.unseen == pytest.approx(1.0)
-    assert set(found.describe()) == {"score", "expected_db", "unseen", "disagreement", "inconsistency"}
+    assert set(found.describe()) == {"score", "expected_db", "unseen", "disagreement", "inconsistency", "doubling"}
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.3, 1.0)])

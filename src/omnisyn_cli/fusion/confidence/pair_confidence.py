@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.fusion.pixel_classes import classify_pixels
+from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
@@ -29,6 +30,15 @@ MIN_SCORE_DB, MAX_SCORE_DB = 12.0, 36.0
 MAX_COLOUR_RMS = 0.1
 """Root mean square difference over the channels above which two colours are different ones. Set by hand."""
 
+CONTOUR_ROWS = 23
+"""The height of a picture in windows whose structure is compared: some 8 degrees each. Set by hand."""
+
+MIN_CONTOUR_CONTRAST, MIN_CONTOUR_LIKENESS = 0.04, 0.4
+"""Standard deviation of grey values from which on a window has structure, and likeness of the same structure."""
+
+DOUBLING_DB, MAX_USUAL_DOUBLING = 4.0, 0.1
+"""Decibels that the score falls by where everything is doubled, beyond a share that good pairs have as well. Measured
+on generated pairs, WS-PSNR falls by 2 dB; a contour that is seen twice disturbs more than that says."""
 
 WEAKNESS_CELLS = (12, 24)
 """Rows and columns in which the weakest place is looked for: cells of 15 degrees, three by three of them at a time."""
@@ -42,11 +52,12 @@ class PairConfidence:
     """How reliable the frames between two panoramas are.
 
     Attributes:
-        score: in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more.
+        score: in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more, after ``doubling`` has been deducted.
         expected: dB, from the mean error of the photographs against each other and of both layers half way.
         unseen: share of the sphere that neither layer shows half way.
         disagreement: share where both show something, at different distances.
         inconsistency: share where both show something at one distance, in different colours.
+        doubling: share of what has contrast half way, by area, at which the layers show other structures.
         weakest: the direction, half way and in the frame of the camera there, around which both layers fit worst.
     """
 
@@ -56,6 +67,7 @@ class PairConfidence:
     disagreement: float
     inconsistency: float
     weakest: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    doubling: float = 0.0
 
     def describe(self) -> dict[str, float]:
         """The values, rounded, for people and for JSON."""
@@ -65,6 +77,7 @@ class PairConfidence:
             "unseen": round(self.unseen, 4),
             "disagreement": round(self.disagreement, 4),
             "inconsistency": round(self.inconsistency, 4),
+            "doubling": round(self.doubling, 4),
         }
 
 
@@ -80,8 +93,10 @@ def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Laye
     error = 0.5 * (0.5 * (errors[0] + errors[1]) + errors[2])
     expected = -10.0 * math.log10(max(error, 1e-10))
     unseen, disagreement, inconsistency = _shares(*middle)
-    score = min(1.0, max(0.0, (expected - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
-    return PairConfidence(score, expected, unseen, disagreement, inconsistency, _weakest_direction(*middle))
+    doubling = _doubling(*middle)
+    scored = expected - DOUBLING_DB * max(0.0, doubling - MAX_USUAL_DOUBLING)
+    score = min(1.0, max(0.0, (scored - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
+    return PairConfidence(score, expected, unseen, disagreement, inconsistency, _weakest_direction(*middle), doubling)
 
 
 def _mean_error(one: Layer, other: Layer) -> float:
@@ -100,6 +115,27 @@ def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:
     cases = (classes.hole, classes.disagree, classes.agree & differs)
     unseen, disagreement, inconsistency = (float(weight[case].sum()) for case in cases)
     return unseen, disagreement, inconsistency
+
+
+def _doubling(one: Layer, other: Layer) -> float:
+    """Share of the windows with contrast, of those that both layers show, whose structure differs.
+
+    Where contours lie side by side the frame has them twice. Areas without contrast do not count.
+    """
+    seen = (_seen(one) & _seen(other)).astype(np.float32)
+    a, b = (np.clip(layer.colour[..., :3], 0.0, 1.0).mean(axis=-1) for layer in (one, other))
+    side = max(3, len(seen) // CONTOUR_ROWS)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return filter_across_seam(lambda image: cv2.blur(image, (side, side)), values * seen, side)
+
+    count = np.maximum(mean(np.ones_like(seen)), 1e-6)
+    mean_a, mean_b = mean(a) / count, mean(b) / count
+    variance_a, variance_b = mean(a * a) / count - mean_a**2, mean(b * b) / count - mean_b**2
+    has_contrast = seen * (np.maximum(variance_a, variance_b) > MIN_CONTOUR_CONTRAST**2)
+    likeness = 2.0 * (mean(a * b) / count - mean_a * mean_b) / np.maximum(variance_a + variance_b, 1e-9)
+    weight = solid_angles(*seen.shape) * has_contrast
+    return float((weight * (likeness < MIN_CONTOUR_LIKENESS)).sum() / max(float(weight.sum()), 1e-9))
 
 
 def _weakest_direction(one: Layer, other: Layer) -> tuple[float, float, float]:
