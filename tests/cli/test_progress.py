@@ -62,7 +62,7 @@ def test_a_plan_begins_with_a_sentence(tmp_path: Path, pair: list[Path], omnisyn
 
 
 def test_good_panoramas_are_said_to_be_good(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
-    _, verdict = omnisyn.made(*pair_arguments(tmp_path, pair, "o.mp4", "--fps", 1)).out.splitlines()
+    *_, verdict = omnisyn.made(*pair_arguments(tmp_path, pair, "o.mp4", "--fps", 1)).out.splitlines()
     assert re.match(r"confidence: high \((1\.00|0\.[6-9]\d)\), weakest around 1\.0 s, ", verdict)
 
 
@@ -73,7 +73,7 @@ def test_for_bad_ones_there_is_the_weakest_place_and_what_to_try(
     image = np.random.default_rng(0).integers(0, 255, (64, 128, 3), np.uint8)
     write_image(pair[1], image)
     edit_poses(tmp_path, lambda panoramas: panoramas["b.png"].update(position=[0, 0, -3]))
-    _, verdict, advice, command = omnisyn.made(*pair_arguments(tmp_path, pair, "o.mp4", "--fps", 1)).out.splitlines()
+    *_, verdict, advice, command = omnisyn.made(*pair_arguments(tmp_path, pair, "o.mp4", "--fps", 1)).out.splitlines()
     assert verdict.startswith("confidence: very low (0.")
     assert advice.startswith("to try: ")
     assert "panoramas closer together, --fallback crossfade (docs/confidence.md)" in advice
@@ -90,3 +90,18 @@ def test_for_bad_ones_there_is_the_weakest_place_and_what_to_try(
 def test_directions_are_those_of_somebody_who_looks_ahead(azimuth: float, elevation: float, words: str) -> None:
     angles = np.radians([azimuth, 90.0 - elevation])
     assert direction_in_words(angles_to_direction(angles[0], angles[1])) == words
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["-o", "old.mp4"], "expected a new file, got one that exists"), (["-o", "new.avi"], "expected a name ending in"),
+     (["--frames", 2, "--duration", 1], "expected either frames or a duration")],
+)  # fmt: skip
+def test_nobody_waits_for_poses_to_be_told_of_a_mistake(
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch, words: list[object],
+    message: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "old.mp4").write_text("mine")
+    monkeypatch.setattr("omnisyn_cli.poses.estimation.estimate_poses", None)
+    assert message in omnisyn("interpolate", *pair, "--poses", "auto", *words).err

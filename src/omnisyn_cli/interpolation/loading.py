@@ -73,7 +73,7 @@ class Loader(Sequence[View]):
         with self._clock("decode"):
             panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
         if self._plan.job.nadir is None:
-            with self._clock("check"):
+            with self._clock("decode"):
                 fixed = self._camera_fixed(max(index - 1, 0))[min(index, 1)]
             if fixed is not None:
                 mask = ~fixed if mask is None else mask & ~fixed

@@ -45,6 +45,9 @@ DEFAULT_FOV = math.radians(90.0)
 MAX_USUAL_BASELINE_METRES = 100.0
 """Farther apart, panoramas have nothing in common: more is worth a note."""
 
+LIKELY_SIZE = (512, 1024)
+"""Height and width that outputs are checked for before those of the video are known: any codec takes them."""
+
 MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
@@ -187,6 +190,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     checks.check_choices(job)
     checks.check_method(job)
     checks.check_view(job)
+    if job.refine or job.poses == POSES_FROM_PICTURES:  # that takes a while: what can be refused is refused before
+        checks.check_outputs(job, job.size or LIKELY_SIZE)
+        frame_count(job)
     tour = plan_tour(job, video_recipe)
     entries, frames = tour.entries, frame_count(job)
     size = job.size or default_size(job, tour.source_sizes)
@@ -323,7 +329,8 @@ def frame_count(job: InterpolationJob) -> int:
     seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
     count = job.frames if job.frames is not None else seconds * job.fps
     if not count <= MAX_FRAMES:
-        raise InputError(f"expected at most {MAX_FRAMES:,} frames, got {min(count, 1e300):g}; ask for fewer")
+        shown = min(count, 10**300) if isinstance(count, int) else count  # no larger integer becomes a float
+        raise InputError(f"expected at most {MAX_FRAMES:,} frames, got {shown:g}; ask for fewer")
     if round(count) < len(job.images):
         raise InputError(
             f"expected at least {len(job.images)} frames, one for each panorama, got {round(count)}; "
