@@ -40,6 +40,15 @@ GROUND_CONFIDENCE = 0.05
 MAX_GAIN = 2.0
 """Ratio of brightness between the panoramas that is believed. Set by hand."""
 
+MAX_RING_DIFFERENCE, MIN_RING_SHARE = 0.12, 0.6
+"""The other panorama is believed if this share of the pixels around a gap differs by less. Set by hand."""
+
+MIN_SOURCE_CONFIDENCE = 0.5
+"""Confidence of depth from which on a pixel may be part of a patch: furniture must not be copied. Set by hand."""
+
+MAX_PATCH_STEP = 0.1
+"""Difference of brightness between a patch and the surroundings of the gap that is taken from it. Set by hand."""
+
 MIN_RING_PIXELS = 32
 """Pixels around a gap that brightness can be compared at. Set by hand."""
 
@@ -70,9 +79,11 @@ def _continued(view: View, other: View, depth: DepthEstimate, other_depth: Depth
     directions = pixel_directions(*gap.shape)
     seen, colour = _seen_by_other(directions[rows, cols], view, other, other_depth, height)
     ring = (cv2.dilate(gap.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0) & view.mask
-    image[rows[seen], cols[seen]] = colour[seen] * _gain(
-        image[ring], directions[ring], view, other, other_depth, height
-    )
+    gain = _gain(image[ring], directions[ring], view, other, other_depth, height)
+    if gain is None:
+        seen[:] = False
+    else:
+        image[rows[seen], cols[seen]] = np.clip(colour[seen] * gain, 0.0, 1.0)
     missing = np.zeros_like(gap)
     missing[rows[~seen], cols[~seen]] = True
     filled = gap if not missing.any() or _patched(image, missing, view, depth, height) else gap & ~missing
@@ -147,13 +158,18 @@ def _seen_by_other(
 def _gain(
     own: Float[np.ndarray, "pixels 3"], directions: Float[np.ndarray, "pixels 3"], view: View, other: View,
     other_depth: DepthEstimate, height: float,
-) -> Float[np.ndarray, " 3"]:  # fmt: skip
-    """How much brighter the ground around a gap is than the other view shows it, by channel."""
+) -> Float[np.ndarray, " 3"] | None:  # fmt: skip
+    """How much brighter the ground around a gap is than the other view shows it, by channel; None where they differ.
+
+    Wrong depth would move other things onto the ground.
+    """
     seen, colour = _seen_by_other(directions, view, other, other_depth, height)
     if np.count_nonzero(seen) < MIN_RING_PIXELS:
-        return np.ones(3, np.float32)
+        return None
     ratio = np.median(own[seen], axis=0) / np.maximum(np.median(colour[seen], axis=0), 1e-3)
-    return np.asarray(np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN), np.float32)
+    gain = np.asarray(np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN), np.float32)
+    difference = np.abs(own[seen] - gain * colour[seen]).mean(axis=-1)
+    return gain if (difference < MAX_RING_DIFFERENCE).mean() >= MIN_RING_SHARE else None
 
 
 def _patched(
@@ -175,6 +191,7 @@ def _patched(
     known, plane = sample_nearest(depth.inverse_depth, directions), _plane(directions, view, height)
     valid = (np.abs(known - plane) < SAME_GROUND_TOLERANCE * np.maximum(known, plane)) & ~hole
     valid &= sample_nearest(np.asarray(view.mask, np.float32), directions) > 0.5
+    valid &= sample_nearest(depth.confidence, directions) > MIN_SOURCE_CONFIDENCE
     rows, cols = (np.flatnonzero(hole.any(axis=k)) for k in (1, 0))
     if not len(rows):
         return False
@@ -191,9 +208,8 @@ def _patched(
     if not np.isfinite(misfit[row, col]):
         return False
     patch = flat[row : row + ring[box].shape[0], col : col + ring[box].shape[1]].copy()
-    sigma = 0.25 * max(patch.shape[:2])
-    step = cv2.GaussianBlur((flat[box] - patch) * weight, (0, 0), sigma)
-    patch += step / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-6)
+    step = ((flat[box] - patch) * weight).sum(axis=(0, 1)) / weight.sum(axis=(0, 1))
+    patch = np.clip(patch + np.clip(step, -MAX_PATCH_STEP, MAX_PATCH_STEP), 0.0, 1.0)
     soft = cv2.GaussianBlur(hole[box].astype(np.float32), (0, 0), 2.0)[..., None]
     flat[box] = np.where(hole[box][..., None], patch, flat[box] + (patch - flat[box]) * soft * weight)
     first = int(np.flatnonzero(gap.any(axis=1))[0])
