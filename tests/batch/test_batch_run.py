@@ -341,8 +341,8 @@ def test_another_baseline_or_picture_does_a_job_with_found_poses_again(tmp_path,
     failed = batch(tmp_path, *lines).failed
     assert ids(failed) == ["0-1"]
     assert "matches that agree" in failed[0]["error"]
-    monkeypatch.setattr(posing, "estimate_poses", lambda images, *_: FoundPoses(
-        read_poses(tmp_path / "poses.json").panoramas, (), 1))  # fmt: skip
+    monkeypatch.setattr(posing, "estimate_poses", lambda images, *_, **__: FoundPoses(
+        read_poses(tmp_path / "poses.json").panoramas, (), 1, images))  # fmt: skip
     assert ids(batch(tmp_path, *lines, retry_failed=True).done) == ["0-1"]
     assert ids(batch(tmp_path, *lines).kept) == ["0-1", "1-2"]
     other = line(0, 1, poses="auto", baseline=2.5)

@@ -229,8 +229,9 @@ def _check_together(options: dict[str, Any], *, is_found: bool) -> None:
     """What options say together."""
     if "frames" in options and "duration" in options:
         raise InputError("expected either frames or a duration, got both; name one")
-    if "baseline" in options and not is_found:
-        raise InputError("expected a baseline only where poses are found in the pictures, got a pose file; name one")
+    for name in ("baseline", "camera_height"):
+        if name in options and not is_found:
+            raise InputError(f"expected a {name} only where poses are found in the pictures, got a pose file; name one")
     if "size" in options:
         width, _, height = options["size"].partition("x")
         if int(width) != 2 * int(height):

@@ -245,21 +245,29 @@ def refine(
 @poses.command()
 @images
 @click.option(
-    "--baseline", "baselines", metavar="METRES", multiple=True, required=True,
-    type=FiniteRange(0, min_open=True), help="Distance between neighbours: once for all pairs, or once per pair.",
+    "--baseline", "baselines", metavar="METRES", multiple=True, type=FiniteRange(0, min_open=True),
+    help="Distance between neighbours: once for their mean, or once per pair.",
 )  # fmt: skip
+@click.option(
+    "--camera-height", metavar="METRES", type=FiniteRange(0, min_open=True),
+    help="Height of the cameras above the floor, instead of --baseline.",
+)  # fmt: skip
+@click.option("--require-all", is_flag=True, help="Fail if a panorama cannot be placed, instead of leaving it out.")
 @output_option
 @overwrite_option
 @picture_options
 @quiet_option
 def estimate(
-    images: tuple[Path, ...], baselines: tuple[float, ...], output: Path, overwrite: bool, quiet: bool, **options: Any
-) -> None:
+    images: tuple[Path, ...], baselines: tuple[float, ...], camera_height: float | None, require_all: bool,
+    output: Path, overwrite: bool, quiet: bool, **options: Any,
+) -> None:  # fmt: skip
     """Estimate the poses of panoramas from the pictures alone.
 
-    The first panorama is at the origin, assumed level, looking along −z. Pictures carry no scale, so give the distance
-    between neighbours.
+    The first panorama is at the origin and looks towards −z. Vertical edges level the world. Pictures carry no scale,
+    so give the distance between neighbours, or the height of the cameras.
     """
+    if bool(baselines) == (camera_height is not None):
+        raise click.UsageError("expected --baseline or --camera-height, got both or neither; give one")
     from omnisyn_cli.io import check_output
     from omnisyn_cli.io.outputs import check_kept
     from omnisyn_cli.poses.estimation import estimate_poses
@@ -267,9 +275,11 @@ def estimate(
 
     check_output(output, overwrite)
     check_kept([output], images)
-    found = estimate_poses(images, baselines, _picture_options(**options))
+    found = estimate_poses(
+        images, baselines, _picture_options(**options), camera_height=camera_height, must_place_all=require_all
+    )
     write_poses(output, found.panoramas)
-    _report([*found.notes, f"{output}: {len(found.panoramas)} poses"], quiet)
+    _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], quiet)
 
 
 def _picture_options(

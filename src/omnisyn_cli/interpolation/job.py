@@ -71,7 +71,9 @@ class TourJob:
         view_transform: show linear light of OpenEXR and HDR files as screens do, unless frames are written as EXR.
         max_pixels: refuse panoramas, masks and depth files with more pixels, before they are decoded.
         allow_outside: accept depth and masks that the pose file names outside of its folder.
-        baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
+        baseline: mean metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
+        camera_height: metres of the cameras above the floor, instead of a baseline.
+        finds_order: the images are in no order; it is found with the poses, and those without a pose are left out.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
     """
 
@@ -99,6 +101,8 @@ class TourJob:
     max_pixels: Annotated[int, Ge(1)] = MAX_PIXELS
     allow_outside: bool = False
     baseline: Positive | None = None
+    camera_height: Positive | None = None
+    finds_order: bool = False
     refine: bool = False
 
 

@@ -194,6 +194,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         checks.check_outputs(job, job.size or LIKELY_SIZE)
         frame_count(job)
     tour = plan_tour(job, video_recipe)
+    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     entries, frames = tour.entries, frame_count(job)
     size = job.size or default_size(job, tour.source_sizes)
     if job.projection == "flat":
@@ -249,7 +250,7 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
     checks.check_names(job)
     checks.check_choices(job)
     checks.check_images(job.images)
-    pose_file, remarks = _poses(job)
+    job, pose_file, remarks = _posed(job)
     check_names_tell_apart(job.images, pose_file)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
@@ -291,29 +292,39 @@ def _installed(recipe: Recipe) -> Recipe:
     return recipe
 
 
-def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
-    """The poses, read, refined or found, and what there is to say about them."""
+def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
+    """The job in its order; the poses, read, refined or found, and what there is to say about them."""
     is_found = job.poses == POSES_FROM_PICTURES
-    if job.baseline is not None and not is_found:
-        raise InputError(
-            f"expected a baseline only where poses are found in the pictures (--poses auto), got {job.baseline:g} m "
-            f"and {job.poses}; leave out one of them"
-        )
+    for name, metres in (("baseline", job.baseline), ("height of the camera", job.camera_height)):
+        if metres is not None and not is_found:
+            raise InputError(
+                f"expected a {name} only where poses are found in the pictures (--poses auto), got {metres:g} m "
+                f"and {job.poses}; leave out one of them"
+            )
+    if job.baseline is not None and job.camera_height is not None:
+        raise InputError("expected a baseline or the height of the camera, got both; leave out one of them")
     if job.refine and is_found:
         raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
     if not (is_found or job.refine):
-        return read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
+        return job, read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
     # OpenCV takes a while to import and is needed for poses from pictures only.
     from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
 
     reading = reading_of(job)
     options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
     if is_found:
-        found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
+        found = estimate_poses(
+            job.images, () if job.baseline is None else (job.baseline,), options,
+            camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
+        )  # fmt: skip
+        order = [job.images.index(image) for image in found.order]
+        job = replace(
+            job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
+        )
     else:
         found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
     elsewhere = () if is_found else notes_of_place(job.images, job.poses)
-    return PoseFile(job.poses, found.panoramas), (*elsewhere, *found.notes)
+    return job, PoseFile(job.poses, found.panoramas), (*elsewhere, *found.notes)
 
 
 def frame_count(job: InterpolationJob) -> int:

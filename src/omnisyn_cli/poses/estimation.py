@@ -178,14 +178,18 @@ def estimate_poses(
     edges = [edge for edge in edges if edge.first in placed]
     rotations = average_rotations(edges, placed)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
-    found = positions_of(edges, baseline_lengths(edges, given), rotations)
+    found = positions_of(edges, *baseline_lengths(edges, given), rotations)
     world, level_note = _levelled({k: Pose(rotations[k], found[k]) for k in placed}, scans)
     order = shortest_path({k: pose.position for k, pose in world.items()}, edges) if finds_order else placed
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     world = {k: Pose(pose.rotation, scale * pose.position) for k, pose in world.items()}
     names = distinct_names(images)
     notes = [f"{images[placed[0]].name} is at the origin; {level_note}", scale_note]
-    notes += [f"{images[e.first].name} and {images[e.second].name}: {_estimate_note(e)}" for e in edges]
+    neighbours = {frozenset(pair) for pair in pairwise(order)}
+    shown = [edge for edge in edges if {edge.first, edge.second} in neighbours]
+    notes += [f"{images[e.first].name} and {images[e.second].name}: {_estimate_note(e)}" for e in shown]
+    if len(edges) > len(shown):
+        notes.append(f"{len(edges) - len(shown)} other pairs match as well and are taken into account")
     if left_out:
         notes.append(f"left out, as nothing tells where they are: {', '.join(image.name for image in left_out)}")
     if finds_order:
@@ -248,7 +252,7 @@ def _levelled(world: Mapping[int, Pose], scans: Sequence[Scan]) -> tuple[dict[in
     else:
         level = rotation_taking(vertical.up, UP)
         tilt = math.degrees(math.acos(min(1.0, float(first.rotation[:, 1] @ vertical.up))))
-        note = f"vertical edges say that it was tilted by {tilt:.1f}° ± {math.degrees(vertical.std):.1f}°"
+        note = f"vertical edges say that it was tilted by {tilt:.1f}° ± {math.degrees(vertical.std):.2f}°"
     ahead = level @ first.rotation @ FORWARD
     level = rotation_from_rotation_vector(math.atan2(ahead[0], -ahead[2]) * UP) @ level
     return {k: Pose(level @ pose.rotation, level @ pose.position) for k, pose in world.items()}, note
@@ -346,7 +350,10 @@ def _estimate_note(edge: Edge) -> str:
     if estimate.have_same_position:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     spread = np.degrees([estimate.residual, estimate.uncertainty.rotation, estimate.uncertainty.direction])
-    return f"{agreed} within {spread[0]:.3f}° (median); rotation ± {spread[1]:.3f}°, direction ± {spread[2]:.3f}°"
+    return (
+        f"{agreed} within {spread[0]:.3f}° (median); rotation ± {spread[1]:.3f}°, direction ± {spread[2]:.3f}° "
+        f"({100.0 * math.tan(estimate.uncertainty.direction):.2f} % of the baseline)"
+    )
 
 
 def _refinement_note(diagnosis: Diagnosis) -> str:

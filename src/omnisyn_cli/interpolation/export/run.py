@@ -1,7 +1,7 @@
 """From a job to files for other programs: what is asked for is checked, then made panorama by panorama."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -161,6 +161,7 @@ def plan_export(job: ExportJob) -> ExportPlan:
     else:
         check_empty_folder(output, job.overwrite)
     tour = plan_tour(job)
+    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
     notes = list(tour.notes)

@@ -1,7 +1,7 @@
 """From a job to a walk: what is asked for is checked, depth is found, the page is written."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
@@ -89,6 +89,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
         check_page(job.output, job.overwrite)
     check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
     tour = plan_tour(job)
+    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     still = pairs_at_one_place(job, tour.entries)
     notes = (*tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
     return ViewPlan(job, tour.entries, tour.source_sizes, tour.recipe, notes)

@@ -21,9 +21,9 @@ from omnisyn_cli.geometry.sphere import UP, normalize
 MAX_TILT = math.radians(35.0)
 """Of a camera; lines that meet farther from its own zenith are not taken for vertical ones."""
 
-FACE_PIXELS, FACE_TANGENT = 640, 1.1
-"""Side of the six tangent images that lines are looked for in, and tangent of half their angle: they overlap a little,
-so that no line is lost at an edge. 448 pixels were enough for all but two of 80 generated panoramas."""
+FACE_SHARE, FACE_TANGENT = 0.625, 1.1
+"""Side of the six tangent images that lines are looked for in, over the rows of the panorama, and tangent of half their
+angle. They overlap a little, so that no line is lost at an edge. In larger ones the columns of pixels become lines."""
 
 MIN_LINE_ANGLE = math.radians(2.0)
 """Radians that a line segment has to span."""
@@ -81,7 +81,8 @@ def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray,
     Source: Grompone von Gioi et al., LSD: a fast line segment detector with a false detection control, PAMI 2010.
     """
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
-    across = ((np.arange(FACE_PIXELS) + 0.5) / FACE_PIXELS * 2.0 - 1.0) * FACE_TANGENT
+    side = round(FACE_SHARE * len(grey))
+    across = ((np.arange(side) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
     x, y = np.meshgrid(across, -across)
     plane = np.stack([x, y, -np.ones_like(x)], axis=-1)
     plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
@@ -89,7 +90,7 @@ def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray,
     for rotation in CAMERA_FROM_FACE:
         segments = detector.detect(RemapTable.for_directions(plane @ rotation.T, grey.shape).bilinear(grey))[0]
         if segments is not None:
-            ends = ((segments.reshape(-1, 2, 2) + 0.5) / FACE_PIXELS * 2.0 - 1.0) * FACE_TANGENT
+            ends = ((segments.reshape(-1, 2, 2) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
             directions = np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1)
             directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
             found.append(np.cross(directions[:, 0], directions[:, 1]) @ rotation.T)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation
 from omnisyn_cli.poses.registration.features import Matches
@@ -32,6 +32,9 @@ EQUAL_LENGTH_WEIGHT = 0.01
 
 GIVEN_LENGTH_WEIGHT = 1e4
 """Weight, in shared points, of a baseline that is given."""
+
+UNTOLD_WEIGHT = 1e-4
+"""Factor of the weight of pairs whose baseline's length is only assumed."""
 
 AVERAGING_ROUNDS = 50
 """Of rotation averaging, each over all panoramas; a chain needs none."""
@@ -102,8 +105,8 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
 
 def baseline_lengths(
     edges: Sequence[Edge], given: Mapping[tuple[int, int], float], typical: float = 1.0
-) -> Float[np.ndarray, " edges"]:
-    """The length of every pair's baseline; 0 where both stand in one place.
+) -> tuple[Float[np.ndarray, " edges"], Bool[np.ndarray, " edges"]]:
+    """The length of every pair's baseline, 0 where both stand in one place, and whether anything tells it.
 
     Logarithms of the lengths by least squares over all ratios, those that are ``given``, and the ``typical`` one.
     """
@@ -124,22 +127,27 @@ def baseline_lengths(
             weights.append(np.array([min(ratio[1], MAX_SHARED_WEIGHT)], float))
     weight = np.sqrt(np.concatenate(weights))
     logs = np.linalg.lstsq(np.concatenate(rows) * weight[:, None], np.concatenate(values) * weight, rcond=None)[0]
-    return np.where(has_length, np.exp(logs), 0.0)
+    is_told = np.any(np.concatenate(rows[1:]) != 0, axis=0) if len(rows) > 1 else np.zeros(len(edges), bool)
+    return np.where(has_length, np.exp(logs), 0.0), is_told | ~np.array(has_length)
 
 
 def positions_of(
-    edges: Sequence[Edge], lengths: Float[np.ndarray, " edges"], rotations: Mapping[int, np.ndarray]
+    edges: Sequence[Edge],
+    lengths: Float[np.ndarray, " edges"],
+    is_told: Bool[np.ndarray, " edges"],
+    rotations: Mapping[int, np.ndarray],
 ) -> dict[int, Float[np.ndarray, " 3"]]:
     """Positions from directions and lengths; the first panorama stands at the origin.
 
-    Pairs weigh by their matches, and less the longer they are: errors of a direction grow with the length.
+    Pairs weigh by their matches, and less the longer they are: errors of a direction grow with the length. A length
+    that nothing tells counts only where no other pair leads.
     """
     placed = sorted(rotations)
     column = {panorama: k for k, panorama in enumerate(placed)}
     system, steps = np.zeros((len(edges) + 1, len(placed))), np.zeros((len(edges) + 1, 3))
     shortest = float(np.min(lengths[lengths > 0], initial=1.0))
     for k, (edge, length) in enumerate(zip(edges, lengths, strict=True)):
-        weight = math.sqrt(edge.weight) / max(float(length), shortest)
+        weight = math.sqrt(edge.weight) / max(float(length), shortest) * (1.0 if is_told[k] else UNTOLD_WEIGHT)
         system[k, column[edge.second]], system[k, column[edge.first]] = weight, -weight
         steps[k] = weight * length * (rotations[edge.first] @ edge.estimate.first_from_second.position)
     system[-1, 0] = np.abs(system).max(initial=1.0)
