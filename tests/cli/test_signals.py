@@ -97,6 +97,7 @@ def test_a_signal_leaves_all_or_nothing(
     tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
     owner, name, number, then = MOMENTS[moment]
+    (tmp_path / "frames").mkdir()  # a new one would get its name with all frames in it
     more = ("--save-frames", tmp_path / "frames", "--frames", 9, "-q")
     arguments = pair_arguments(tmp_path, write_pair(tmp_path), "out.mp4", *more)
     before = {*listing(tmp_path)}
