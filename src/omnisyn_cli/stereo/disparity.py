@@ -62,8 +62,8 @@ class MatchingOptions:
         min_margin: least margin of the aggregated cost over the best rival for a valid disparity.
         min_uniqueness: least margin of the pixel's own cost for a match to propose planes: repeating tiles of a ceiling
             agree about a plane that is not there.
-        max_planes: planes per panorama.
-        min_plane_support: least share of the matched solid angle that a plane explains.
+        max_planes: fitted planes per pair.
+        min_plane_support: least share of the matched solid angle of both panoramas that a plane explains.
         label_penalty, label_contrast: as ``p2`` and ``p2_contrast``, between surface labels.
         valid_match_bias, invalid_match_bias: extra cost of the semi-global match against a plane, where it is valid and
             where it is not.
@@ -85,7 +85,7 @@ class MatchingOptions:
     min_margin: float = 0.2
     min_uniqueness: float = 0.05
     max_planes: int = 24
-    min_plane_support: float = 0.008
+    min_plane_support: float = 0.004
     label_penalty: float = 3.0
     label_contrast: float = 0.15
     valid_match_bias: float = 0.15

@@ -25,12 +25,12 @@ from omnisyn_cli.stereo.disparity import (
 )
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
-from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import sweep_planes
 from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
-from omnisyn_cli.stereo.surface_labels import label_surfaces
+from omnisyn_cli.stereo.surface_labels import CandidatePlanes, label_surfaces
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptions"]
@@ -47,8 +47,6 @@ Walks of 1 m through generated rooms and streets are, walks of 3 m are not."""
 
 SAME_PLANE_TOLERANCE = 0.03
 """Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity."""
-
-Planes = Float[np.ndarray, "planes 3"]
 
 MIN_ISLAND_PIXELS = 20
 """At half size: smaller islands of depth are mistakes more often than things."""
@@ -127,7 +125,7 @@ class MatchingDepthEstimator:
 
 def _find_planes(
     pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap], options: MatchingOptions
-) -> tuple[Planes, Planes]:
+) -> tuple[CandidatePlanes, CandidatePlanes]:
     """The planes that pixels may lie on, in the frame of either direction: swept ones, and those through matches.
 
     Both directions have the same: a plane that only one may choose fails the left-right check.
@@ -141,12 +139,12 @@ def _find_planes(
         np.zeros((0, 3)) if _is_narrow(pairs, matches) else sweep_planes(*pairs, _sweep_axes(pairs[0].grid.up, fitted))
     )
     different = [normal for normal in fitted if not any(_is_same_plane(normal, each) for each in swept)]
-    normals = np.concatenate([swept, np.reshape(different, (-1, 3))])
-    seen = planes_from_second(normals)
-    return normals, seen[np.isfinite(seen).all(axis=-1)]
+    is_swept = np.repeat([True, False], [len(swept), len(different)])
+    planes = CandidatePlanes(np.concatenate([swept, np.reshape(different, (-1, 3))]), is_swept)
+    return planes, planes.seen_by_second()
 
 
-def _sweep_axes(up: np.ndarray, fitted: Planes) -> Float[np.ndarray, "axes 3"]:
+def _sweep_axes(up: np.ndarray, fitted: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "axes 3"]:
     """Up, and the two level axes that the best supported wall is across and along, if there is any."""
     upright = [normal for normal in fitted if abs(normal @ up) < UPRIGHT_SINE * np.linalg.norm(normal)]
     if not upright:

@@ -8,12 +8,15 @@ Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-ba
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
+from omnisyn_cli.stereo.plane_fitting import planes_from_second
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, resize_area
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
@@ -52,8 +55,26 @@ LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 """A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row."""
 
 
+class CandidatePlanes(NamedTuple):
+    """Planes that pixels may lie on, best supported first.
+
+    Attributes:
+        normals: in the frame of the pair, as long as the inverse distance (1/baselines).
+        is_swept: which of them a sweep found; the others are fitted to matches.
+    """
+
+    normals: Float[np.ndarray, "planes 3"]
+    is_swept: Bool[np.ndarray, " planes"]
+
+    def seen_by_second(self) -> CandidatePlanes:
+        """Those that the second camera sees, in the frame of the reversed pair."""
+        normals = planes_from_second(self.normals)
+        is_seen = np.isfinite(normals).all(axis=-1)
+        return CandidatePlanes(normals[is_seen], self.is_swept[is_seen])
+
+
 def label_surfaces(
-    pair: RectifiedPair, matches: DisparityMap, planes: Float[np.ndarray, "planes 3"], options: MatchingOptions
+    pair: RectifiedPair, matches: DisparityMap, candidates: CandidatePlanes, options: MatchingOptions
 ) -> DisparityMap:
     """The surface that explains each pixel best, given left-right consistent matches and planes.
 
@@ -62,15 +83,15 @@ def label_surfaces(
     Args:
         pair: the images.
         matches: of the first one.
-        planes: normals in the frame of the pair, as long as the inverse distance (1/baselines), best supported first.
+        candidates: the planes.
         options: of the matching.
     """
-    grid = pair.grid
+    grid, planes = pair.grid, candidates.normals
     is_static = _static_texture(grid, matches)
     is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
     disparities = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
     cost = _candidate_costs(pair, disparities, options)
-    support = _plane_support(pair, matches, planes, cost[..., 1 : 1 + len(planes)])
+    support = _plane_support(pair, matches, candidates, cost[..., 1 : 1 + len(planes)])
     if is_sky_open:
         support = np.concatenate([support, _spread(is_static)[..., None]], axis=-1)
     is_beyond = disparities < _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
@@ -122,18 +143,22 @@ def _candidate_costs(pair: RectifiedPair, candidates: np.ndarray, options: Match
 
 
 def _plane_support(
-    pair: RectifiedPair, matches: DisparityMap, planes: np.ndarray, cost: np.ndarray
+    pair: RectifiedPair, matches: DisparityMap, candidates: CandidatePlanes, cost: np.ndarray
 ) -> Float32[np.ndarray, "height width planes"]:
-    """How much speaks for each plane around every pixel, in [0, 1]: matches on it, or texture that it explains."""
+    """How much speaks for each plane around every pixel, in [0, 1].
+
+    Matches on it do, and for a swept plane texture that it explains. A fitted one would find such texture by chance.
+    """
     grid = pair.grid
     inverse_depth, tolerance = grid.inverse_depth(matches.disparity), grid.inverse_depth_per_row(matches.disparity)
     textured = is_textured(pair.first)
     texture = np.maximum(_density(textured), FULL_PLANE_SUPPORT_DENSITY)
-    support = np.empty((*cost.shape[:2], len(planes)), np.float32)
-    for k, normal in enumerate(planes):
-        is_inlier = matches.valid & (np.abs(grid.directions @ normal - inverse_depth) < tolerance)
-        share = _density(textured & (cost[..., k] < EXPLAINED_COST)) / texture
-        support[..., k] = np.maximum(_spread(is_inlier), np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
+    support = np.empty_like(cost)
+    for k, (normal, is_swept) in enumerate(zip(*candidates, strict=True)):
+        support[..., k] = _spread(matches.valid & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
+        if is_swept:
+            share = _density(textured & (cost[..., k] < EXPLAINED_COST)) / texture
+            support[..., k] = np.maximum(support[..., k], np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
     return support
 
 
