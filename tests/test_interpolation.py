@@ -116,7 +116,7 @@ def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, pair: Ha
         write_image(tmp_path / "mask.png", np.where(in_file, 255, 0).astype(np.uint8))
         entries[0] = replace(entries[0], mask=tmp_path / "mask.png")
     write_poses(tmp_path / "poses.json", dict(zip([path.name for path in pair.images], entries, strict=True)))
-    plan = pair.plan()
+    plan = pair.plan(nadir_fill=True)
     run_interpolation(plan)
     for waypoint, frame in zip(plan.path, map(samples_of, sorted((tmp_path / "out").iterdir())), strict=True):
         assert np.abs(frame / 255 - hall_image(waypoint.pose)).max() < 0.1
