@@ -22,6 +22,7 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
+from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, measure_pair, usable_image
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -123,6 +124,7 @@ def pair_surfaces(
         check: what they say of each other.
     """
     cut = Cut(plan.recipe.cut, plan.recipe.cut_metres)
+    views, depths = continue_ground(views, depths)
     first, second = (_meshed(index + k, views[k], depths[k], cut) for k in (0, 1))
     return PairSurfaces(index, (first, second), check)
 
