@@ -34,8 +34,8 @@ MAX_CAP_AREA_RATIO = 1.7
 PATCH_TOLERANCE = 0.036
 """Difference of colour inside a uniform patch: JPEG noise."""
 
-MIN_SOLIDITY, MAX_OFFSET = 0.85, 0.3
-"""Share of its convex hull that a uniform patch has to fill, and how far from the nadir it lies, in radii."""
+MIN_SOLIDITY, MAX_OFFSET = 0.85, 0.34
+"""Share of its convex hull that a uniform patch has to fill, and how far from the nadir it lies, in half sides."""
 
 MIN_EDGE_STEP, MIN_EDGE_SHARE, MIN_EDGE_LEAD = 0.04, 0.75, 3.0
 """Step of colour at the edge of a cap, share of the circumference that has it, and its ratio to steps elsewhere."""
@@ -197,7 +197,7 @@ def _uniform_patch(image: np.ndarray) -> Mask:
         return nothing
     contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     hull = cv2.fillConvexPoly(np.zeros(image.shape[:2], np.uint8), cv2.convexHull(np.concatenate(contours)), 1) > 0
-    size = np.sqrt(hull.sum() / np.pi) * DEG_PER_PIXEL
+    size = 0.5 * np.sqrt(hull.sum()) * DEG_PER_PIXEL  # half the side of a square of its area
     offset = np.hypot(x[region].mean(), y[region].mean())
     if size < CAP_RADII_DEG[0] or region.sum() < MIN_SOLIDITY * hull.sum() or offset > MAX_OFFSET * size:
         return nothing

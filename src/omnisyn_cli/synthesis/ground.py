@@ -19,8 +19,8 @@ from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["continue_ground"]
 
-Views = tuple[View, View]
-Depths = tuple[DepthEstimate, DepthEstimate]
+ViewPair = tuple[View, View]
+DepthPair = tuple[DepthEstimate, DepthEstimate]
 
 MAX_GROUND_DEG, MAX_START_DEG = 60.0, 40.0
 """Up to which angle from the nadir ground is continued, and within which a masked region has to begin. Set by hand."""
@@ -59,7 +59,7 @@ MAX_FLAT_ROWS = 900
 """Rows of the ground seen from above in which patches are looked for. Set by hand."""
 
 
-def continue_ground(views: Views, depths: Depths) -> tuple[Views, Depths]:
+def continue_ground(views: ViewPair, depths: DepthPair) -> tuple[ViewPair, DepthPair]:
     """Views and depths in which masked regions around the nadir are ground; the very same where there are none."""
     first = _continued(views[0], views[1], depths[0], depths[1])
     second = _continued(views[1], views[0], depths[1], depths[0])

@@ -36,7 +36,7 @@ CONTOUR_ROWS = 23
 MIN_CONTOUR_CONTRAST, MIN_CONTOUR_LIKENESS = 0.04, 0.4
 """Standard deviation of grey values from which on a window has structure, and likeness of the same structure."""
 
-DOUBLING_DB, MAX_USUAL_DOUBLING = 4.0, 0.1
+DOUBLING_DB, MAX_GOOD_DOUBLING = 4.0, 0.1
 """Decibels that the score falls by where everything is doubled, beyond a share that good pairs have as well. Measured
 on generated pairs, WS-PSNR falls by 2 dB; a contour that is seen twice disturbs more than that says."""
 
@@ -94,7 +94,7 @@ def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Laye
     expected = -10.0 * math.log10(max(error, 1e-10))
     unseen, disagreement, inconsistency = _shares(*middle)
     doubling = _doubling(*middle)
-    scored = expected - DOUBLING_DB * max(0.0, doubling - MAX_USUAL_DOUBLING)
+    scored = expected - DOUBLING_DB * max(0.0, doubling - MAX_GOOD_DOUBLING)
     score = min(1.0, max(0.0, (scored - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
     return PairConfidence(score, expected, unseen, disagreement, inconsistency, _weakest_direction(*middle), doubling)
 
