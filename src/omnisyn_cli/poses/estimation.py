@@ -45,7 +45,7 @@ __all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "
 DEFAULT_BASELINE = 1.0
 """Metres between two panoramas where no baseline is given."""
 
-LIKE_PANORAMAS = 3
+LIKE_PANORAMAS = 2
 """Of a set that each panorama is compared with, besides its neighbours: those that share most features."""
 
 
@@ -170,7 +170,7 @@ def estimate_poses(
     _check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     scans = list(_scans(images, options or PictureOptions()))
-    edges, tried = _matched_edges(scans)
+    edges, tried = _matched_edges(scans, is_ordered=not finds_order)
     placed = placed_panoramas(edges, len(images))
     left_out = [image for k, image in enumerate(images) if k not in placed]
     if len(placed) < 2 or (left_out and must_place_all):
@@ -203,10 +203,10 @@ def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:
         yield scan_panorama(*_usable_picture(image, (mask,), options), options.threads)
 
 
-def _matched_edges(scans: Sequence[Scan]) -> tuple[list[Edge], dict[tuple[int, int], int]]:
+def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], int]]:
     """Pairs whose relative pose is found, and all that were tried thoroughly with the number of their matches.
 
-    Neighbours are tried, pairs that look alike, and then what may connect the parts.
+    Neighbours in an order are tried, pairs that look alike, and then what may connect the parts.
     """
     count, tried = len(scans), dict[tuple[int, int], int]()
     alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
@@ -221,8 +221,9 @@ def _matched_edges(scans: Sequence[Scan]) -> tuple[list[Edge], dict[tuple[int, i
         if estimate is not None:
             edges.append(Edge(*pair, estimate, matches.select(estimate.inliers)))
 
-    for pair in sorted(wanted | set(pairwise(range(count)))):
-        attempt(pair, is_thorough=pair[1] == pair[0] + 1)
+    neighbours = set(pairwise(range(count))) if is_ordered else set()
+    for pair in sorted(wanted | neighbours):
+        attempt(pair, is_thorough=pair in neighbours)
     for pair in [pair for pair in ranked if pair not in tried][: LIKE_PANORAMAS * count]:
         placed = placed_panoramas(edges, count)
         if len(placed) == count:
@@ -233,7 +234,7 @@ def _matched_edges(scans: Sequence[Scan]) -> tuple[list[Edge], dict[tuple[int, i
 
 
 def _unplaced(images: Sequence[Path], placed: Sequence[int], tried: Mapping[tuple[int, int], int]) -> PoseError:
-    pair = next(pair for pair in tried if not (pair[0] in placed and pair[1] in placed) or len(placed) < 2)
+    pair = next(pair for pair in tried if len(placed) < 2 or not set(pair) <= set(placed))
     first, second = (images[k] for k in pair)
     return PoseError(
         f"{first} and {second}: expected more matches that agree with a pose than by chance, got too few (of "
