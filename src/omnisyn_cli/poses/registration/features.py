@@ -82,8 +82,8 @@ class Matches:
         return len(self.first)
 
     def __add__(self, other: Matches) -> Matches:
-        both = [np.concatenate(pair) for pair in ((self.first, other.first), (self.second, other.second))]
-        return Matches(*both, max(self.pixel, other.pixel))
+        first, second = np.concatenate([self.first, other.first]), np.concatenate([self.second, other.second])
+        return Matches(first, second, max(self.pixel, other.pixel))
 
     def select(self, chosen: np.ndarray) -> Matches:
         """Those of a mask or of indices."""

@@ -67,7 +67,10 @@ def find_levelled_features(
         found = (*views, _floor(grey, level_from_camera))
     pixel = 1.0 / pixel_scale(grey.shape)[0]
     return LevelledFeatures(
-        *(strongest_features(places @ level_from_camera, *values, usable, pixel) for places, *values in found)
+        *(
+            strongest_features(direction @ level_from_camera, descriptor, response, usable, pixel)
+            for direction, descriptor, response in found
+        )
     )
 
 

@@ -87,8 +87,8 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
     """
     rotations = {placed[0]: np.eye(3)}
     while len(rotations) < len(placed):
-        onwards = [e for e in edges if (e.first in rotations) != (e.second in rotations)]
-        edge = max(onwards, key=lambda e: e.weight)
+        leading = [e for e in edges if (e.first in rotations) != (e.second in rotations)]
+        edge = max(leading, key=lambda e: e.weight)
         known, new = (edge.first, edge.second) if edge.first in rotations else (edge.second, edge.first)
         rotations[new] = rotations[known] @ edge.seen_from(known)[0].rotation
     for _ in range(AVERAGING_ROUNDS if len(edges) >= len(placed) else 0):

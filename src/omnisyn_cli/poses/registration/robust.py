@@ -173,16 +173,16 @@ def _log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None)
     the fundamental matrix, IJCV 2004.
     """
     scale, sample = inlier_threshold(matches), 5
-    agreed, count = (_count_distinct(matches.select(m)) for m in (support_mask(pose, matches, scale), slice(None)))
+    agreed, count = _count_distinct(matches.select(support_mask(pose, matches, scale))), _count_distinct(matches)
     if agreed <= sample:
         return math.inf
-    some = matches.select(slice(None, None, max(1, len(matches) // CHANCE_SAMPLES)))
+    some = matches.select(np.arange(0, len(matches), max(1, len(matches) // CHANCE_SAMPLES)))
     first, second = np.nonzero(~np.eye(len(some), dtype=bool))
     unrelated = Matches(some.first[first], some.second[second], matches.pixel)
     chance = max(float(support_mask(pose, unrelated, scale).mean()), MIN_CHANCE)
     log_choices = _log_binomial(count, agreed) + _log_binomial(agreed, sample) + math.log10(10 * max(count - sample, 1))
-    surprise = 0.0 if verticals is None or _agrees_with(pose, verticals) else LOG_TESTS_WITHOUT_GRAVITY
-    return log_choices + (agreed - sample) * math.log10(chance) + surprise
+    contradiction = 0.0 if verticals is None or _agrees_with(pose, verticals) else LOG_TESTS_WITHOUT_GRAVITY
+    return log_choices + (agreed - sample) * math.log10(chance) + contradiction
 
 
 def _agrees_with(pose: Pose, verticals: Verticals) -> bool:

@@ -89,9 +89,9 @@ def register_pair(
         verticals = first.vertical.up, second.vertical.up
     matches = match_features(first.features, second.features)
     estimate = estimate_relative_pose(matches, known, verticals)
-    is_sure = estimate is not None and (estimate.have_same_position or estimate.inliers.sum() >= ENOUGH_INLIERS)
-    if is_sure or not is_thorough:
-        return (estimate if is_sure else None), matches
+    is_enough = estimate is not None and (estimate.have_same_position or estimate.inliers.sum() >= ENOUGH_INLIERS)
+    if is_enough or not is_thorough:
+        return (estimate if is_enough else None), matches
     if estimate is not None:
         known = (*known, estimate.first_from_second)
     matches += match_levelled_features(first.levelled, second.levelled)
