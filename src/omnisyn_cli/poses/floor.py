@@ -24,7 +24,7 @@ def floor_distance(first: View, second: View) -> float | None:
     if at_same_position(first.pose, second.pose):
         return None
     pair = rectify(first, second, FLOOR_SIZE)
-    planes = sweep_planes(pair, pair.reversed(), pair.grid.up[None])
+    planes = sweep_planes(pair, pair.grid.up[None])
     lengths = np.linalg.norm(planes, axis=1)
     is_floor = -planes @ pair.grid.up > math.cos(MAX_FLOOR_SLOPE) * lengths
     return float((pair.baseline / lengths[is_floor]).max()) if is_floor.any() else None

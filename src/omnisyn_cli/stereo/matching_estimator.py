@@ -135,9 +135,8 @@ def _find_planes(
         return first, second
     points = both(*(partial(_plane_points, pair, each) for pair, each in zip(pairs, matches, strict=True)))
     fitted = find_planes(points, pairs[0].grid.up, max_planes=options.max_planes, min_support=options.min_plane_support)
-    swept = (
-        np.zeros((0, 3)) if _is_narrow(pairs, matches) else sweep_planes(*pairs, _sweep_axes(pairs[0].grid.up, fitted))
-    )
+    axes = _sweep_axes(pairs[0].grid.up, fitted)
+    swept = np.zeros((0, 3)) if _is_narrow(pairs, matches) else sweep_planes(pairs[0], axes)
     different = [normal for normal in fitted if not any(_is_same_plane(normal, each) for each in swept)]
     is_swept = np.repeat([True, False], [len(swept), len(different)])
     planes = CandidatePlanes(np.concatenate([swept, np.reshape(different, (-1, 3))]), is_swept)

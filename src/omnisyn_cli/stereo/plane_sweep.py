@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple, TypeVar
 
@@ -59,6 +59,9 @@ EXPLAINED_COST = 0.2
 
 SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION = 0.3, 0.1
 """As ``colour_weight`` and ``colour_truncation`` of matching; less of the first, because exposures may differ."""
+
+MIN_EXPOSURE_GAIN = 1.25
+"""Ratio of the mean brightness of two panoramas from which on exposures differ, not only what the cameras see."""
 
 MAX_SWEPT_PLANES = 6
 """Per pair; the next ones explained less than a hundredth of the sphere on generated scenes."""
@@ -187,9 +190,7 @@ def _in_each(directions: Directions, work: Callable[[int, SweepDirection], T]) -
     return both(partial(alone, 0), partial(alone, 1))
 
 
-def sweep_planes(
-    pair: RectifiedPair, reverse: RectifiedPair, axes: Float[np.ndarray, "axes 3"]
-) -> Float[np.ndarray, "planes 3"]:
+def sweep_planes(pair: RectifiedPair, axes: Float[np.ndarray, "axes 3"]) -> Float[np.ndarray, "planes 3"]:
     """Planes across some axes, on either side of the cameras, that both panoramas see; best supported first.
 
     Each is a normal in the frame of the pair, as long as the inverse distance of its plane from the first camera
@@ -197,17 +198,34 @@ def sweep_planes(
 
     Args:
         pair: of any size.
-        reverse: the same, reversed.
         axes: unit vectors, up first: floors and ceilings are across it, walls across level ones.
     """
+    pair = _at_equal_exposure(pair)
     rows = max(pair.size[0] // 2, min(MIN_SWEEP_ROWS, pair.size[0]))
     small = pair.resized((rows, 2 * rows))
     coarse = SweepDirection(small), SweepDirection(small.reversed())
-    fine = SweepDirection(pair), SweepDirection(reverse)
+    fine = SweepDirection(pair), SweepDirection(pair.reversed())
     found = _greedy_planes(coarse, axes)
     fitted = [_fit(fine, _fit(coarse, normal, COARSE_FITS), FINE_FITS) for normal in found]
-    planes = [after for before, after in zip(found, fitted, strict=True) if _is_nearly_parallel(before, after)]
+    planes = [
+        after
+        for before, after in zip(found, fitted, strict=True)
+        if _is_nearly_parallel(before, after) and np.linalg.norm(after) < 1.0 / NEAREST_PLANE_BASELINES
+    ]
     return np.array(planes).reshape(-1, 3)
+
+
+def _at_equal_exposure(pair: RectifiedPair) -> RectifiedPair:
+    """The pair with the second image as bright as the first one, if they differ by more than two places do."""
+    weight = np.sin(pair.grid.polar_angle)[..., None]
+    means = [
+        (image * weight * usable[..., None]).sum(axis=(0, 1)) / max(float((weight[..., 0] * usable).sum()), 1e-9)
+        for image, usable in ((pair.first, pair.first_usable), (pair.second, pair.second_usable))
+    ]
+    gain = np.maximum(means[0], 1e-3) / np.maximum(means[1], 1e-3)
+    if abs(math.log(float(gain.mean()))) < math.log(MIN_EXPOSURE_GAIN):
+        return pair
+    return replace(pair, second=np.minimum(pair.second * gain, 1.0).astype(np.float32))
 
 
 def _is_nearly_parallel(normal: np.ndarray, other: np.ndarray) -> bool:
