@@ -63,7 +63,7 @@ A floor of equal tiles has hundreds of matches, all consistently wrong by some t
 MIN_TURN_INLIERS = 12
 """Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does."""
 
-STRAIGHT_AHEAD = Pose(np.eye(3), FORWARD)
+FORWARD_POSE = Pose(np.eye(3), FORWARD)
 
 MIN_INLIER_SHARE = 0.08
 """Share of all matches that have to agree with a pose at least."""
@@ -212,7 +212,7 @@ def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals:
     found = _hypotheses(matches, weight, scale, essential_candidates, 5, share)
     refined += [refine_pose(start, matches, scale) for start in _in_front(found, matches, weight, scale)]
     if not refined:  # one picture twice: all samples are degenerate
-        return refine_pose(STRAIGHT_AHEAD, matches, scale)
+        return refine_pose(FORWARD_POSE, matches, scale)
     costs += [_pose_cost(pose, matches, weight, scale) for pose in refined[len(costs) :]]
     return refined[int(np.argmin(costs))]
 
