@@ -22,10 +22,10 @@ from synthesis_samples import SIZE, as_bytes, hall_image, posed, write_hall, wri
 
 
 def test_depth_comes_from_files_where_all_have_one(tmp_path: Path, pair: Hall) -> None:
-    assert pair.plan().recipe.depth.kind == "file"
-    assert pair.plan(depth="matching").recipe.depth.kind == "matching"
+    assert pair.plan().config.depth.kind == "file"
+    assert pair.plan(depth="matching").config.depth.kind == "matching"
     write_entries(tmp_path, pair.images, depth=None)
-    assert pair.plan().recipe == replace(PRESETS[DEFAULT_PRESET].recipe, adaptive=False)  # too few frames for it
+    assert pair.plan().config == replace(PRESETS[DEFAULT_PRESET].config, adaptive=False)  # too few frames for it
     pair.refuses(PoseError, r"'depth' file for every panorama, got none for p0\.png, p1\.png", depth="file")
 
 
@@ -45,15 +45,15 @@ def test_the_preset_says_how_renderings_of_estimated_depth_are_fused(
     pair: Hall, asked: dict[str, str], fusion: str
 ) -> None:
     plan = pair.plan(**asked)
-    assert plan.recipe.fusion == plan.describe()["fusion"] == fusion
+    assert plan.config.fusion == plan.describe()["fusion"] == fusion
     other = with_preset(plan, "fast")
-    assert other.recipe.fusion == asked.get("fusion", "geometric")
+    assert other.config.fusion == asked.get("fusion", "geometric")
 
 
 def test_a_missing_depth_file_is_found_before_any_work(tmp_path: Path, pair: Hall) -> None:
     (tmp_path / "p1_depth.exr").unlink()
     pair.refuses(ImageError, r"p1_depth\.exr")
-    assert pair.plan(depth="matching").recipe.depth.kind == "matching"
+    assert pair.plan(depth="matching").config.depth.kind == "matching"
 
 
 def test_the_size_is_that_of_the_largest_panorama_unless_asked_for(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--preset", choices=list(PRESETS), default=DEFAULT_PRESET)
     given = parser.parse_args()
-    estimator = make_estimator(PRESETS[given.preset].recipe.depth, device="cpu")
+    estimator = make_estimator(PRESETS[given.preset].config.depth, device="cpu")
     print(f"{'':24}{'equal':>8}{'changed':>9}{'best':>8}{'lost':>7}")
     for folder in given.folders:
         views = read_views(folder)

@@ -17,7 +17,7 @@ def test_what_the_presets_need_is_shipped_whole():
     result = CliRunner().invoke(models, ["--json"])
     assert result.exit_code == 0, result.output
     entries = {entry["name"]: entry for entry in json.loads(result.stdout)}
-    assert {preset.recipe.depth.model for preset in PRESETS.values()} <= entries.keys()
+    assert {preset.config.depth.model for preset in PRESETS.values()} <= entries.keys()
     assert {fusion.model for fusion in FUSIONS.values() if fusion.model} <= entries.keys()
     for entry in entries.values():
         assert (models_folder() / entry["file"]).stat().st_size < 16 * 2**20

@@ -56,7 +56,7 @@ def test_accuracy_is_what_the_evaluation_measures(tmp_path, method):
     assert all(math.isfinite(seconds) and seconds >= 0 for seconds in figures.seconds.values())
     assert {"start", "decode", *FRAME_STAGES} <= set(figures.seconds)
     assert figures.seconds["encode"] > 0
-    assert figures.recipe == find_method(method).recipe
+    assert figures.config == find_method(method).config
     if method == FAST:
         assert figures.seconds["depth"] > figures.seconds["mesh"] > 0
 
@@ -103,12 +103,12 @@ def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(tmp_pa
 
 
 def test_what_is_measured_is_what_users_may_choose():
-    chosen = [find_method(name).recipe for name in bench_settings.DEFAULT_BENCH_METHODS]
-    assert {recipe.method for recipe in chosen} == {"crossfade", "flow", OMNISYN}
-    assert {preset.recipe for preset in SCALE.values()} <= set(chosen)
-    usual = SCALE[DEFAULT_PRESET].recipe
+    chosen = [find_method(name).config for name in bench_settings.DEFAULT_BENCH_METHODS]
+    assert {config.method for config in chosen} == {"crossfade", "flow", OMNISYN}
+    assert {preset.config for preset in SCALE.values()} <= set(chosen)
+    usual = SCALE[DEFAULT_PRESET].config
     for aspect in ("renderer", "fusion", "edges"):
-        assert any(getattr(recipe, aspect) != getattr(usual, aspect) for recipe in chosen), aspect
+        assert any(getattr(config, aspect) != getattr(usual, aspect) for config in chosen), aspect
     assert len(bench_settings.GENERATED_PAIRS) >= 12
     assert len({kind for kind, _, _ in bench_settings.GENERATED_PAIRS}) == 5
     assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench_settings.GENERATED_PAIRS)

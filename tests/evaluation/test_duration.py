@@ -27,7 +27,7 @@ from omnisyn_cli.interpolation.planning.duration import (
 )
 from omnisyn_cli.interpolation.planning.figures import Figures, Setting, gain
 from omnisyn_cli.interpolation.summary import Summary
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.presets import PRESETS, SCALE
 from synthesis_samples import write_hall
 
@@ -38,17 +38,17 @@ SECONDS = {"start": 3.0, "decode": 0.2, "depth": 5.0, "check": 0.5, "mesh": 0.3,
 SCORES = {"fast": 25.0, "balanced": 27.0}
 
 
-def figures_of(recipe: Recipe, rows: int = 64, **changes: object) -> Figures:
+def figures_of(config: RunConfig, rows: int = 64, **changes: object) -> Figures:
     setting = Setting("a method", (rows, 2 * rows), 1)
-    return replace(Figures(setting, recipe=recipe, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
+    return replace(Figures(setting, config=config, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
 
 
 TABLE_NAME = (
     *(
-        figures_of(SCALE[name].recipe, seconds={**SECONDS, "depth": depth}, scores={"a": score, "b": score + 1})
+        figures_of(SCALE[name].config, seconds={**SECONDS, "depth": depth}, scores={"a": score, "b": score + 1})
         for (name, score), depth in zip(SCORES.items(), (2.0, 10.0), strict=True)
     ),
-    figures_of(Recipe()),
+    figures_of(RunConfig()),
 )
 """The presets, and one that fuses by rules."""
 
@@ -98,10 +98,10 @@ def test_work_is_once_plus_pairs_plus_frames(plan):
 
 def test_stages_have_the_figures_of_what_they_depend_on(plan):
     """Depth that of its rows, frames those of their renderer and of their fusion; whatever else there is."""
-    base = plan.recipe
+    base = plan.config
     two_pass = figures_of(replace(base, renderer="two-pass"), seconds={**SECONDS, "render": 1.0})
     closer = figures_of(replace(base, fusion_rows=128), seconds={**SECONDS, "fuse": 3.04})
-    both = replace(plan, recipe=replace(base, renderer="two-pass", fusion_rows=128))
+    both = replace(plan, config=replace(base, renderer="two-pass", fusion_rows=128))
     usual, asked = (work(each, (*TABLE_NAME, two_pass, closer)) for each in (plan, both))
     assert asked.frames - usual.frames == pytest.approx(10 * (0.9 + 3.0))
     assert asked.pairs == usual.pairs
@@ -110,8 +110,8 @@ def test_stages_have_the_figures_of_what_they_depend_on(plan):
 
 def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan):
     """A mesh costs the same in every size, so a frame of four times the pixels does not take four times as long."""
-    recipe = replace(plan.recipe, adaptive=True)  # as it was measured
-    large = figures_of(recipe, 128, seconds={**SECONDS, "render": 0.16}, pairs=1)
+    config = replace(plan.config, adaptive=True)  # as it was measured
+    large = figures_of(config, 128, seconds={**SECONDS, "render": 0.16}, pairs=1)
     table = (*TABLE_NAME, large)
 
     def render(rows: int) -> float:
@@ -128,16 +128,16 @@ def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan):
 
 
 def test_depth_from_files_takes_no_time_to_find(plan):
-    known = replace(plan, recipe=plan.recipe.of_known_depth())
+    known = replace(plan, config=plan.config.of_known_depth())
     assert work(plan).pairs - work(known).pairs == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(
-    "recipe",
-    [Recipe(method="synsin"), PRESETS["paper"].recipe, replace(SCALE["fast"].recipe, is_on_gpu=True)],
+    "config",
+    [RunConfig(method="synsin"), PRESETS["paper"].config, replace(SCALE["fast"].config, is_on_gpu=True)],
 )
-def test_what_was_not_measured_is_not_guessed(plan, recipe):
-    assert expected_duration(replace(plan, recipe=recipe), TABLE_NAME) is None
+def test_what_was_not_measured_is_not_guessed(plan, config):
+    assert expected_duration(replace(plan, config=config), TABLE_NAME) is None
 
 
 def test_the_first_guess_is_by_the_pace_of_a_small_piece_of_work(plan, monkeypatch):
@@ -285,7 +285,7 @@ def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(plan, mon
     assert min(choice.expected, key=lambda name: choice.expected[name].seconds) == "fast"
     scored = [f for f in table if f.scores]
     assert all(len(f.scores) >= 12 and np.min(list(f.scores.values())) > 8 for f in scored)
-    assert {"crossfade", "flow"} < {f.recipe.method for f in scored}
+    assert {"crossfade", "flow"} < {f.config.method for f in scored}
     assert json.dumps([f.to_json() for f in table])
 
 
@@ -297,6 +297,6 @@ def test_a_preset_that_costs_half_as_much_again_is_worth_it(plan, monkeypatch):
     scored = [figures for figures in found if figures is not None]
     assert len(scored) == len(SCALE)
     for cheap, dear in pairwise(scored):
-        less, more = (work(replace(clip, recipe=each.recipe), table) for each in (cheap, dear))
+        less, more = (work(replace(clip, config=each.config), table) for each in (cheap, dear))
         assert sum(vars(more).values()) < 1.5 * sum(vars(less).values()) or gain(dear, cheap)[0] >= 0.3
         assert gain(dear, cheap)[0] > 2 * gain(dear, cheap)[1]

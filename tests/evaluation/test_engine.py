@@ -17,7 +17,7 @@ from omnisyn_cli.evaluation.results import RESULTS_NAME, UnitRecord, read_record
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.runtime import session
 from omnisyn_cli.synthesis.synthesize import Frame
 from omnisyn_cli.types import DepthEstimate, View
@@ -267,7 +267,7 @@ def test_a_method_that_breaks_does_not_end_the_others(halls, monkeypatch):
         raise ZeroDivisionError("by\nzero")
 
     original = engine.find_methods
-    bad = ComparedMethod("bad", "", Recipe(DepthSource("network", model="any")))
+    bad = ComparedMethod("bad", "", RunConfig(DepthSource("network", model="any")))
     monkeypatch.setattr(session, "open_model", explode)
     monkeypatch.setattr(engine, "find_methods", lambda text: [bad, *original(text)])
     records = run(halls, "crossfade")

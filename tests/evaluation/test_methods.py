@@ -22,7 +22,7 @@ from omnisyn_cli.evaluation.methods import (
 )
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.synthesize import Frame
@@ -177,15 +177,15 @@ def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(hall
 
     monkeypatch.setattr(methods, "make_estimator", lambda *_, **__: estimator)
     known = PairDepths()
-    recipe = Recipe(DepthSource("matching"))
-    method = ComparedMethod("slow", "", recipe)
-    two_pass = replace(method, recipe=replace(recipe, renderer="two-pass"))
+    config = RunConfig(DepthSource("matching"))
+    method = ComparedMethod("slow", "", config)
+    two_pass = replace(method, config=replace(config, renderer="two-pass"))
     for changed in (method, two_pass, replace(method, depth_size=(16, 32))):
         clock = Stopwatch()
         MethodAtWork(changed, hall.views, threads=1, known=known)(hall.size, clock)
         taken.append(clock.seconds["depth"])
     assert min(taken) >= 0.19, "the others would be done at once"
     assert len(calls) == 1
-    other = replace(method, recipe=Recipe(DepthSource("matching", 256)))
+    other = replace(method, config=RunConfig(DepthSource("matching", 256)))
     MethodAtWork(other, hall.views, threads=1, known=known)(hall.size, clock)
     assert len(calls) == 2

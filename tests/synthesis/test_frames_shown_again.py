@@ -74,8 +74,8 @@ def test_fewer_triangles_are_looked_for_where_frames_pay_for_it(tmp_path: Path) 
     """Unless the user says otherwise, and never where every triangle is drawn anyway."""
     images = write_hall(tmp_path, [posed([0.0, 0.0, z]) for z in (0.5, 0.0, -0.5)])
     usual = {frames: plan_interpolation(job_of(tmp_path, images, frames=frames)) for frames in (64, 65)}
-    assert [plan.recipe.adaptive for plan in usual.values()] == [False, True]
+    assert [plan.config.adaptive for plan in usual.values()] == [False, True]
     for adaptive in (True, False):
         asked = plan_interpolation(job_of(tmp_path, images, frames=64, adaptive=adaptive))
-        assert asked.recipe.adaptive == with_preset(asked, "fast").recipe.adaptive == adaptive
-    assert not plan_interpolation(job_of(tmp_path, images, frames=90, device="cuda")).recipe.adaptive
+        assert asked.config.adaptive == with_preset(asked, "fast").config.adaptive == adaptive
+    assert not plan_interpolation(job_of(tmp_path, images, frames=90, device="cuda")).config.adaptive

@@ -14,14 +14,14 @@ from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
 from omnisyn_cli.interpolation.planning import budget
 from omnisyn_cli.interpolation.planning.figures import Figures, Setting
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
 from synthesis_samples import write_hall
 
-PAPER = PRESETS["paper"].recipe
+PAPER = PRESETS["paper"].config
 
-USUAL = Recipe()
+USUAL = RunConfig()
 
 
 @pytest.fixture
@@ -33,14 +33,14 @@ def test_every_preset_is_on_the_scale_or_beside_it() -> None:
     assert list(PRESETS) == [*SCALE, *REPRODUCTIONS]
     assert list(SCALE) == ["fast", "balanced"]
     assert DEFAULT_PRESET in SCALE
-    assert sorted(p.recipe.depth.rows for p in SCALE.values()) == [p.recipe.depth.rows for p in SCALE.values()]
-    assert {preset.recipe.fusion for preset in PRESETS.values()} <= set(FUSIONS)
+    assert sorted(p.config.depth.rows for p in SCALE.values()) == [p.config.depth.rows for p in SCALE.values()]
+    assert {preset.config.fusion for preset in PRESETS.values()} <= set(FUSIONS)
 
 
 def test_the_paper_preset_has_the_settings_of_the_paper(tmp_path: Path, images: list[Path]) -> None:
     job = job_of(tmp_path, images, preset="paper")
     plan = plan_interpolation(job)
-    assert plan.recipe == PAPER
+    assert plan.config == PAPER
     assert (PAPER.depth.kind, PAPER.fusion) == ("network", "painting")
     assert (PAPER.renderer, PAPER.cut, PAPER.cut_metres) == ("two-pass", None, 2.0)
     assert PAPER.networks == (PAPER.depth.model, FUSIONS["painting"].model)
@@ -52,34 +52,34 @@ def test_the_paper_preset_has_the_settings_of_the_paper(tmp_path: Path, images: 
 
 def test_what_is_asked_for_beside_the_preset_comes_first(tmp_path: Path, images: list[Path]) -> None:
     job = job_of(tmp_path, images, preset="paper")
-    asked = plan_interpolation(replace(job, renderer="mesh", cut=0.1, fusion="geometric")).recipe
+    asked = plan_interpolation(replace(job, renderer="mesh", cut=0.1, fusion="geometric")).config
     assert asked == replace(PAPER, renderer="mesh", cut=0.1, cut_metres=None, fusion="geometric")
-    assert plan_interpolation(replace(job, cut_metres=1.0)).recipe == replace(PAPER, cut_metres=1.0)
-    assert plan_interpolation(replace(job, depth="matching")).recipe.depth.model is None
+    assert plan_interpolation(replace(job, cut_metres=1.0)).config == replace(PAPER, cut_metres=1.0)
+    assert plan_interpolation(replace(job, depth="matching")).config.depth.model is None
 
 
 def test_the_other_presets_are_drawn_exactly_and_cut_relatively(tmp_path: Path, images: list[Path]) -> None:
     plan = plan_interpolation(job_of(tmp_path, images, preset="paper"))
     for name in SCALE:
         other = plan_interpolation(job_of(tmp_path, images, preset=name, adaptive=True))
-        assert other.recipe == PRESETS[name].recipe
-        assert (other.recipe.renderer, other.recipe.cut) == ("mesh", USUAL.cut)
+        assert other.config == PRESETS[name].config
+        assert (other.config.renderer, other.config.cut) == ("mesh", USUAL.cut)
         plan = replace(plan, job=replace(plan.job, adaptive=True))
         assert with_preset(plan, name).describe() == other.describe()
-        assert with_preset(plan, name).recipe == other.recipe
+        assert with_preset(plan, name).config == other.config
 
 
 def test_known_depth_is_fused_by_rules_with_this_preset_too(tmp_path: Path) -> None:
-    recipe = plan_interpolation(job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), preset="paper")).recipe
-    assert (recipe.depth.kind, recipe.depth.model) == ("file", None)
-    assert (recipe.fusion, recipe.renderer) == ("geometric", "two-pass")
+    config = plan_interpolation(job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), preset="paper")).config
+    assert (config.depth.kind, config.depth.model) == ("file", None)
+    assert (config.fusion, config.renderer) == ("geometric", "two-pass")
 
 
 def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Even where it was measured and looks both fast and accurate."""
     setting = Setting("omnisyn-paper", (64, 128), 1)
     stages = dict.fromkeys(("start", "decode", "depth", "check", "mesh", "render", "fuse", "encode"), 1e-6)
-    tempting = Figures(setting, recipe=PAPER, seconds=stages, probe=1.0, source=(64, 128), scores={"hall": 99.0})
+    tempting = Figures(setting, config=PAPER, seconds=stages, probe=1.0, source=(64, 128), scores={"hall": 99.0})
     with_paper = (*budget.shipped_table(), tempting)
     monkeypatch.setattr(budget, "shipped_table", lambda: with_paper)
     plan = plan_interpolation(job_of(tmp_path, images))
@@ -94,10 +94,10 @@ def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:
 
 def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
     method = find_method("omnisyn-paper")
-    assert method.recipe == PAPER
+    assert method.config == PAPER
     assert repr(PAPER) in method.ingredients()
     changed = find_method("omnisyn-paper:renderer=mesh:cut=0.05")
-    assert changed.recipe == replace(PAPER, renderer="mesh", cut=0.05, cut_metres=None)
+    assert changed.config == replace(PAPER, renderer="mesh", cut=0.05, cut_metres=None)
 
 
 def test_the_help_describes_every_preset() -> None:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.interpolation.api import estimate_depth, make_frames
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.types import View
 from synthesis_samples import hall_view, posed
 
-MATCHING = Recipe(DepthSource("matching", rows=64))
+MATCHING = RunConfig(DepthSource("matching", rows=64))
 
 
 def views(distance: float) -> tuple[View, View]:

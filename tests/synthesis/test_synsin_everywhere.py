@@ -16,8 +16,8 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.depth_benchmark import TABLE_SOURCES
 from omnisyn_cli.evaluation.methods import MethodAtWork, find_method
 from omnisyn_cli.geometry.pose import interpolate_pose
+from omnisyn_cli.interpolation.configs import video_config
 from omnisyn_cli.interpolation.plan import plan_interpolation
-from omnisyn_cli.interpolation.recipes import video_recipe
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -90,7 +90,7 @@ def test_an_unknown_method_is_refused_and_missing_networks_are_named(
     job = job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), method="synsin")
     with pytest.raises(InputError, match="as method, got 'magic'"):
         plan_interpolation(replace(job, method="magic"))
-    assert video_recipe(job, ()).networks == SYNSIN_MODELS
+    assert video_config(job, ()).networks == SYNSIN_MODELS
     monkeypatch.setattr(models, "models_folder", lambda: tmp_path)
     with pytest.raises(InputError, match="'synsin-depth'"):
         plan_interpolation(job)
@@ -113,7 +113,7 @@ def test_a_dry_run_tells_the_plan_and_a_budget_is_refused(tmp_path: Path) -> Non
 def test_monocular_depth_is_a_source_like_others(tmp_path: Path) -> None:
     job = job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), depth="monocular", save_depth=tmp_path / "depth")
     plan = plan_interpolation(job)
-    assert (plan.recipe.depth.kind, plan.recipe.depth.model) == ("monocular", "synsin-depth")
+    assert (plan.config.depth.kind, plan.config.depth.model) == ("monocular", "synsin-depth")
     run_interpolation(plan)
     assert len(list((tmp_path / "depth").iterdir())) == 2
 

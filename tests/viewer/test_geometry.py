@@ -23,7 +23,7 @@ from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
 from omnisyn_cli.interpolation.viewer.contents import TourPacker, Walk
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.synthesis.trajectory import Waypoint
@@ -190,7 +190,7 @@ def unfolded(shot: Shot, pose: Pose, size: tuple[int, int], side: int) -> np.nda
 
 def likeness(shot: Shot, t: float) -> float:
     """WS-PSNR of six faces and of the frame of a video whose edges are sampled once, as those on a screen are."""
-    method = make_method(Recipe(cut=shot.plan.recipe.cut, edges=False), SIZE, estimator=KnownDepth())
+    method = make_method(RunConfig(cut=shot.plan.config.cut, edges=False), SIZE, estimator=KnownDepth())
     frame = method.prepare(0, shot.views).frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
     return ws_psnr(unfolded(shot, shot.pose(t), SIZE, 2 * SIZE[0]), np.clip(frame, 0, 1))
 

@@ -170,7 +170,7 @@ class Interpolator:
 
     def _interpolate(self, job: BatchJob, attempt: Path, sources: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
-        finds_depth = plan.recipe.estimates_depth
+        finds_depth = plan.config.estimates_depth
         memory = self._memory(plan, sources, job) if finds_depth else None
         decoded, found = self._panoramas.decoded, memory.found if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
@@ -182,7 +182,7 @@ class Interpolator:
 
     def _memory(self, plan: InterpolationPlan, sources: Mapping[str, Any], job: BatchJob) -> DepthCache:
         """The estimator that jobs with the same wishes for depth share; a network is loaded once, until it changes."""
-        source, device = plan.recipe.depth, plan.recipe.device
+        source, device = plan.config.depth, plan.config.device
         key = (source, device, *(digest_of_network(network, sources, job) for network in source.networks))
         return self._estimators.get(
             key, lambda: DepthCache(make_estimator(source, device=device, threads=plan.job.threads))

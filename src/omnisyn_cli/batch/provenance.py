@@ -14,7 +14,7 @@ from typing import Any
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation.recipes import video_recipe
+from omnisyn_cli.interpolation.configs import video_config
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
@@ -104,7 +104,7 @@ def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...
     """Names and paths of the networks that a job uses; none where it cannot be done, as the job itself will say."""
     bare = [PosedPanorama(Pose.identity())] * len(job.images)  # what there is where poses are found in the pictures
     try:
-        return video_recipe(job.interpolation(Path()), entries or bare).networks
+        return video_config(job.interpolation(Path()), entries or bare).networks
     except OmnisynError:
         return ()
 

@@ -183,10 +183,10 @@ def interpolate(
 
     Put names that begin with a dash after ``--``.
     """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.interpolation.configs import check_device
     from omnisyn_cli.interpolation.inputs import video_ending
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.plan import plan_interpolation
-    from omnisyn_cli.interpolation.recipes import check_device
 
     check_one_cut(options)
     options |= _views(views)
@@ -203,7 +203,7 @@ def interpolate(
             from omnisyn_cli.interpolation.planning.budget import apply_budget
 
             plan = apply_budget(plan, budget)
-        check_device(plan.recipe)
+        check_device(plan.config)
         return plan
 
     compiled: list[str] = []

@@ -66,9 +66,9 @@ def run_job(
             return None
         from omnisyn_cli.compute.jit import while_compiling
         from omnisyn_cli.compute.stopwatch import while_timing
-        from omnisyn_cli.interpolation.recipes import check_device
+        from omnisyn_cli.interpolation.configs import check_device
 
-        check_device(plan.recipe)
+        check_device(plan.config)
         stages.log(plan.in_words(values))
         pairs, count = len(plan.entries) - 1, frames(plan)
         stages.expect(reading=pairs + 1, depth=pairs, **({"frames": count} if count else {}))

@@ -28,7 +28,7 @@ from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.planning.duration import probe
 from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.run import run_interpolation
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
@@ -80,12 +80,12 @@ def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = l
         EncodingError, WriteError: a clip cannot be written.
     """
     setting = run.setting
-    recipe = replace(find_method(setting.method).recipe, device=run.device)
-    estimator = _RecordingEstimator(make_estimator(recipe.depth, device=run.device, threads=setting.threads))
-    plans = _plans(run, recipe, folder)
+    config = replace(find_method(setting.method).config, device=run.device)
+    estimator = _RecordingEstimator(make_estimator(config.depth, device=run.device, threads=setting.threads))
+    plans = _plans(run, config, folder)
     first_plan = next(plans)
     short = plan_interpolation(replace(first_plan.job, frames=1 + PHOTOGRAPHS_PER_CLIP))
-    _clip(replace(short, recipe=recipe), estimator)
+    _clip(replace(short, config=config), estimator)
     started = computing()
     on_warm()
     clips, found = [], []
@@ -98,7 +98,7 @@ def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = l
     scored = run.pairs if run.is_scored else ()
     scores = {_name(pair): _scores(pair, depths, first_plan) for pair, depths in zip(scored, found, strict=False)}
     return Figures(
-        setting, recipe=recipe, key=run.key, source=first_plan.source_sizes[0], seconds=seconds, probe=probe(),
+        setting, config=config, key=run.key, source=first_plan.source_sizes[0], seconds=seconds, probe=probe(),
         memory=memory, scores={name: fmean(of_pair) for name, of_pair in scores.items() if of_pair}, pairs=len(clips),
     )  # fmt: skip
 
@@ -119,7 +119,7 @@ class _RecordingEstimator:
         return self.found
 
 
-def _plans(run: BenchRun, recipe: Recipe, folder: Path) -> Iterator[InterpolationPlan]:
+def _plans(run: BenchRun, config: RunConfig, folder: Path) -> Iterator[InterpolationPlan]:
     """A clip for each pair; pictures are copied, so that those of any data set get names of their own."""
     for index, pair in enumerate(run.pairs):
         place = folder / str(index)
@@ -131,7 +131,7 @@ def _plans(run: BenchRun, recipe: Recipe, folder: Path) -> Iterator[Interpolatio
             frames=run.frames + PHOTOGRAPHS_PER_CLIP, size=run.setting.size, device=run.device,
             threads=run.setting.threads, overwrite=True,
         )  # fmt: skip
-        yield replace(plan_interpolation(job), recipe=recipe)
+        yield replace(plan_interpolation(job), config=config)
 
 
 def _copied(frame: SceneFrame, place: Path, name: str) -> tuple[str, PosedPanorama]:
@@ -162,9 +162,9 @@ def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan
         return []
     threads = plan.job.threads
     loaded = load_pair(pair, None, threads)
-    recipe = replace(plan.recipe, is_on_gpu=False)
+    config = replace(plan.config, is_on_gpu=False)
     known = None if depths is None else lambda first, second: depths
-    method = make_method(recipe, plan.size, threads=threads, estimator=known)
+    method = make_method(config, plan.size, threads=threads, estimator=known)
     made = synthesize(loaded.views, [truth.waypoint for truth in loaded.truths], method)
     images = (_resized(frame.image, loaded.size, threads) for frame in made)
     return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]

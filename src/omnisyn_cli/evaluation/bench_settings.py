@@ -135,7 +135,7 @@ def plan_bench(job: BenchJob) -> BenchPlan:
     """
     methods = find_methods(job.methods)
     for method in methods:
-        needs_truth = method.recipe.draws_surfaces and not method.recipe.estimates_depth
+        needs_truth = method.config.draws_surfaces and not method.config.estimates_depth
         if method.shows_first_only or method.is_in_tour or method.depth_size is not None or needs_truth:
             raise InputError(f"expected methods that `omnisyn interpolate` has, got {method.name}; leave it out")
     choose = choose_pairs(job.pairs)

@@ -53,9 +53,9 @@ RECORD_VERSION = 1
 """Counts up when the same scenes are measured or recorded in another way."""
 
 TABLE_SOURCES: Mapping[str, DepthSource] = {
-    "synsin": find_method("monocular").recipe.depth,
-    "matching": find_method("matching").recipe.depth,
-    **{f"omnisyn-{preset.name}": preset.recipe.depth for preset in PRESETS.values()},
+    "synsin": find_method("monocular").config.depth,
+    "matching": find_method("matching").config.depth,
+    **{f"omnisyn-{preset.name}": preset.config.depth for preset in PRESETS.values()},
 }
 """The rows of the table: SynSin's monocular network, matching alone, and the presets; ``paper`` is a network alone."""
 

@@ -1,6 +1,6 @@
 """The methods that are compared, by name: what is measured, upper bounds, baselines and ablations.
 
-A method is a :class:`~omnisyn_cli.pipeline.config.Recipe`, perhaps changed, and what only an evaluation may do: look
+A method is a :class:`~omnisyn_cli.pipeline.config.RunConfig`, perhaps changed, and what only an evaluation may do: look
 at the true depth, make surfaces of another density, hide the second panorama.
 
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
@@ -30,7 +30,7 @@ from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH, make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -78,7 +78,7 @@ class ComparedMethod:
     Attributes:
         name: as it is chosen and listed.
         description: what it does, in a few words.
-        recipe: what its frames are made with; depth from files is the truth, which no other method sees.
+        config: what its frames are made with; depth from files is the truth, which no other method sees.
         depth_size: height and width of the surfaces' grids; None is that of the estimates.
         shows_first_only: whether the second panorama is hidden.
         is_in_tour: whether the panoramas before and after the pair take part in its depth.
@@ -86,20 +86,20 @@ class ComparedMethod:
 
     name: str
     description: str
-    recipe: Recipe
+    config: RunConfig
     depth_size: tuple[int, int] | None = None
     shows_first_only: bool = False
     is_in_tour: bool = False
 
     def ingredients(self) -> tuple[str, ...]:
         """What its results depend on besides its name."""
-        return ingredients_of(self.recipe)
+        return ingredients_of(self.config)
 
 
-def ingredients_of(recipe: Recipe) -> tuple[str, ...]:
-    """What results depend on that are made by a recipe: its settings, the digests of its networks as installed."""
+def ingredients_of(config: RunConfig) -> tuple[str, ...]:
+    """What results depend on that are made by a config: its settings, the digests of its networks as installed."""
     installed = read_manifest()
-    return (repr(recipe), *(installed[name].sha256 if name in installed else "" for name in recipe.networks))
+    return (repr(config), *(installed[name].sha256 if name in installed else "" for name in config.networks))
 
 
 class MethodAtWork:
@@ -123,22 +123,22 @@ class MethodAtWork:
         known: PairDepths | None = None, around: tuple[View | None, View | None] = (None, None),
     ) -> None:  # fmt: skip
         self._method, self._threads, self._known = method, threads, known or PairDepths()
-        self._recipe = replace(method.recipe, device=device)
-        sees_truth = self._recipe.depth.strategy.reads_files
-        if sees_truth and self._recipe.draws_surfaces and any(view.known_depth is None for view in views):
+        self._config = replace(method.config, device=device)
+        sees_truth = self._config.depth.strategy.reads_files
+        if sees_truth and self._config.draws_surfaces and any(view.known_depth is None for view in views):
             raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
         before, after = around if method.is_in_tour else (None, None)
         self._index, chain = int(before is not None), [view for view in (before, *views, after) if view is not None]
         self._views = chain if sees_truth else [View(view.image, view.pose, view.mask) for view in chain]
         with _unavailable_without_network():
-            self._estimator = make_estimator(self._recipe.depth, device=device, threads=threads)
+            self._estimator = make_estimator(self._config.depth, device=device, threads=threads)
 
     def __call__(self, size: tuple[int, int], clock: Stopwatch) -> Pair:
         """The pair ready for frames of a size; seconds by stage go to the stopwatch."""
         fuser = _FirstViewOnly(size, self._threads) if self._method.shows_first_only else None
         with _unavailable_without_network():
             method = make_method(
-                self._recipe, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
+                self._config, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
                 fuser=fuser,
             )  # fmt: skip
         pair = method.prepare(self._index, self._views)
@@ -147,7 +147,7 @@ class MethodAtWork:
     def _depths(self, clock: Stopwatch, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """The depth of both views; ``clock`` is given the seconds that this does not take now."""
         begin = time.perf_counter()
-        found, seconds = self._known.recall(self._recipe.depth, self._estimator, first, second)
+        found, seconds = self._known.recall(self._config.depth, self._estimator, first, second)
         if (size := self._method.depth_size) is not None:
             found = (_resized(found[0], size), _resized(found[1], size))
         taken, own = time.perf_counter() - begin, self._views[self._index]
@@ -210,17 +210,17 @@ class _FirstOfPair:
         return first, _nothing_of(second)
 
 
-_DEFAULT = PRESETS[DEFAULT_PRESET].recipe
+_DEFAULT = PRESETS[DEFAULT_PRESET].config
 
 BASES: Mapping[str, ComparedMethod] = {
-    name: ComparedMethod(name, description, recipe, shows_first_only=name == "first-view-only")
-    for name, description, recipe in (
-        *((name, m.description, Recipe(method=name)) for name, m in STRATEGIES.items() if not m.draws_surfaces),
-        ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"), adaptive=True)),
-        *((f"omnisyn-{name}", f"the preset {name}", preset.recipe) for name, preset in SCALE.items()),
+    name: ComparedMethod(name, description, config, shows_first_only=name == "first-view-only")
+    for name, description, config in (
+        *((name, m.description, RunConfig(method=name)) for name, m in STRATEGIES.items() if not m.draws_surfaces),
+        ("matching", "depth by matching, mesh, geometric fusion", RunConfig(DepthSource("matching"), adaptive=True)),
+        *((f"omnisyn-{name}", f"the preset {name}", preset.config) for name, preset in SCALE.items()),
         (
             "omnisyn-paper", "the preset paper: the method of the paper with narrower networks",
-            PRESETS["paper"].recipe,
+            PRESETS["paper"].config,
         ),
         (
             "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
@@ -229,9 +229,9 @@ BASES: Mapping[str, ComparedMethod] = {
         ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
         (
             "monocular", "depth from each panorama alone, mesh, geometric fusion",
-            Recipe(DepthSource("monocular", model=SYNSIN_DEPTH)),
+            RunConfig(DepthSource("monocular", model=SYNSIN_DEPTH)),
         ),
-        ("oracle-depth", "the true depth: an upper bound", Recipe(DepthSource("file"))),
+        ("oracle-depth", "the true depth: an upper bound", RunConfig(DepthSource("file"))),
     )
 }  # fmt: skip
 """Methods without parameters, by name."""
@@ -243,7 +243,7 @@ WITHOUT_NETWORK = "model=none"
 """Refined depth without its network."""
 
 LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
-"""What parameters leave out of a recipe."""
+"""What parameters leave out of a config."""
 
 LEAST_ROWS = 32
 
@@ -263,7 +263,7 @@ VARIANTS = (
 def find_method(name: str) -> ComparedMethod:
     """The method of a name; InputError: there is none, or it has no such parameter."""
     base, *parameters = name.split(":")
-    if base not in BASES or (parameters and not BASES[base].recipe.draws_surfaces):
+    if base not in BASES or (parameters and not BASES[base].config.draws_surfaces):
         raise InputError(f"expected one of {', '.join(BASES)} as method, got {name!r}; choose one of these")
     fusions = [parameter for parameter in parameters if parameter in FUSED_BY]
     if fusions and ONE_VIEW in parameters:
@@ -278,24 +278,24 @@ def find_method(name: str) -> ComparedMethod:
 
 def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMethod:
     key, _, value = parameter.partition("=")
-    recipe = method.recipe
+    config = method.config
     try:
         if key == "cut" and 0 < float(value) <= 1:
-            return replace(method, recipe=replace(recipe, cut=float(value), cut_metres=None))
+            return replace(method, config=replace(config, cut=float(value), cut_metres=None))
         if key == "metres" and float(value) > 0:
-            return replace(method, recipe=replace(recipe, cut=None, cut_metres=float(value)))
+            return replace(method, config=replace(config, cut=None, cut_metres=float(value)))
         if key == "renderer" and value in RENDERERS:
-            return replace(method, recipe=replace(recipe, renderer=value))
+            return replace(method, config=replace(config, renderer=value))
         if parameter in FUSED_BY:
-            return replace(method, recipe=replace(recipe, fusion=FUSED_BY[parameter]), shows_first_only=False)
-        is_adjustable = recipe.depth.strategy.model_is_optional
-        if is_adjustable and (source := _changed_source(recipe.depth, parameter)) is not None:
-            return replace(method, recipe=replace(recipe, depth=source))
+            return replace(method, config=replace(config, fusion=FUSED_BY[parameter]), shows_first_only=False)
+        is_adjustable = config.depth.strategy.model_is_optional
+        if is_adjustable and (source := _changed_source(config.depth, parameter)) is not None:
+            return replace(method, config=replace(config, depth=source))
         if parameter in LEFT_OUT:
-            return replace(method, recipe=replace(recipe, **LEFT_OUT[parameter]))
+            return replace(method, config=replace(config, **LEFT_OUT[parameter]))
         if parameter == ONE_VIEW:
             return replace(method, shows_first_only=True)
-        if parameter == TOUR_PARAMETER and recipe.estimates_depth:
+        if parameter == TOUR_PARAMETER and config.estimates_depth:
             return replace(method, is_in_tour=True)
         if key == "depth":
             width, height = (int(number) for number in value.lower().split("x"))
@@ -340,7 +340,7 @@ def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
 
 
 def _can_be_in_tour(method: ComparedMethod) -> bool:
-    return method.recipe.estimates_depth and not method.is_in_tour
+    return method.config.estimates_depth and not method.is_in_tour
 
 
 def find_methods(text: str) -> list[ComparedMethod]:

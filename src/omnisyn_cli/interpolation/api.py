@@ -25,7 +25,7 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
-from omnisyn_cli.pipeline.config import DepthSource, Recipe, frame_size
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig, frame_size
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
@@ -43,7 +43,7 @@ __all__ = [
     "Fuser",
     "Layer",
     "Pose",
-    "Recipe",
+    "RunConfig",
     "View",
     "estimate_depth",
     "interpolate",
@@ -80,27 +80,27 @@ def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: fl
 
 
 def estimate_depth(
-    first: View, second: View, recipe: Recipe | str = DEFAULT_PRESET, *, threads: int | None = None
+    first: View, second: View, config: RunConfig | str = DEFAULT_PRESET, *, threads: int | None = None
 ) -> tuple[DepthEstimate, DepthEstimate]:
     """Inverse depth (1/metre) and confidence of both panoramas of a pair, each in its own frame.
 
     Args:
         first: a panorama with its pose.
         second: its neighbour.
-        recipe: name of a preset, or a recipe; only its depth and device matter.
+        config: name of a preset, or a config; only its depth and device matter.
         threads: at most this many; None is one per core.
 
     Raises InputError: a network is missing, or there is no such device.
     """
-    recipe = _resolved(recipe)
-    estimator = make_estimator(recipe.depth, device=recipe.device, threads=threads)
+    config = _resolved(config)
+    estimator = make_estimator(config.depth, device=config.device, threads=threads)
     return estimator(*equalize_exposure(first, second, threads))
 
 
 def make_frames(
     views: Sequence[View],
     frames: int,
-    recipe: Recipe | str = DEFAULT_PRESET,
+    config: RunConfig | str = DEFAULT_PRESET,
     *,
     size: str | tuple[int, int] | None = None,
     ease: Ease = "linear",
@@ -114,12 +114,12 @@ def make_frames(
     Args:
         views: two or more panoramas.
         frames: at least one per panorama.
-        recipe: name of a preset, or a recipe. A preset takes the depth of the views where all of them have some.
+        config: name of a preset, or a config. A preset takes the depth of the views where all of them have some.
         size: of the frames, such as ``"2048x1024"``, or (width, height); that of the first panorama by default.
         ease: ``linear`` or ``smooth``, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
         heading: which way frames look, likewise.
-        estimator: finds depth in place of the recipe's.
-        fuser: joins both renderings in place of the recipe's; for frames of this size.
+        estimator: finds depth in place of the config's.
+        fuser: joins both renderings in place of the config's; for frames of this size.
         threads: at most this many; None is one per core.
 
     Raises InputError: a network is missing, or there is no such device; ValueError: fewer than two views, or fewer
@@ -127,7 +127,7 @@ def make_frames(
     """
     path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
     is_known = estimator is None and all(view.known_depth is not None for view in views)
-    chosen = _resolved(recipe).of_known_depth() if is_known and isinstance(recipe, str) else _resolved(recipe)
+    chosen = _resolved(config).of_known_depth() if is_known and isinstance(config, str) else _resolved(config)
     height, width = views[0].image.shape[:2] if size is None else frame_size(size)
     method = make_method(chosen, (height, width), threads=threads, estimator=estimator, fuser=fuser)
     for frame in synthesize(views, path, method):
@@ -207,9 +207,9 @@ def _paths(images: Sequence[Path | str]) -> tuple[Path, ...]:
     return tuple(map(Path, images))
 
 
-def _resolved(recipe: Recipe | str) -> Recipe:
-    if isinstance(recipe, Recipe):
-        return recipe
-    if recipe not in PRESETS:
-        raise ValueError(f"expected a recipe or a preset of {', '.join(PRESETS)}, got {recipe!r}")
-    return PRESETS[recipe].recipe
+def _resolved(config: RunConfig | str) -> RunConfig:
+    if isinstance(config, RunConfig):
+        return config
+    if config not in PRESETS:
+        raise ValueError(f"expected a config or a preset of {', '.join(PRESETS)}, got {config!r}")
+    return PRESETS[config].config

@@ -13,7 +13,7 @@ from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size
 from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder, real_path
 from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.poses.file import PosedPanorama
 
@@ -125,7 +125,7 @@ def source_size(job: TourJob, image: Path) -> tuple[int, int]:
 
 
 def check_companions(
-    job: TourJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], recipe: Recipe
+    job: TourJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], config: RunConfig
 ) -> None:
     """Refuse masks of other sizes than their panoramas, and depth files, if they are used, that are none.
 
@@ -135,7 +135,7 @@ def check_companions(
         for mask in (entry.mask, *job.masks[k : k + 1]):
             if mask is not None:
                 check_mask_size(mask, source_size(job, mask), size)
-        if entry.depth is not None and recipe.depth.strategy.reads_files:
+        if entry.depth is not None and config.depth.strategy.reads_files:
             check_depth_header(read_header(entry.depth))
 
 

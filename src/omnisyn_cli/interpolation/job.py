@@ -54,8 +54,8 @@ class TourJob:
             has one, else what the preset says.
         model: the network of the depth: an ONNX file, or a name in the manifest; None is the preset's.
         device: where networks run: ``auto``, ``cpu`` or ``cuda``. Poses and matching are found on the processor.
-        cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.Recipe`; at most one of them,
-            neither is the preset's.
+        cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.RunConfig`; at most one of
+            them, neither is the preset's.
         masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
         nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
             None finds by itself what moves with the camera, see :mod:`omnisyn_cli.synthesis.camera_fixed`.
@@ -118,7 +118,7 @@ class InterpolationJob(TourJob):
         size: (height, width) of the video; None means that of the largest panorama, or what players of the codec show.
         method: one of :data:`omnisyn_cli.pipeline.methods.METHODS`; baselines leave nothing to choose about depth,
             surfaces and fusion.
-        device: with ``cuda`` the GPU makes the frames as well if it can (:mod:`omnisyn_cli.interpolation.recipes`).
+        device: with ``cuda`` the GPU makes the frames as well if it can (:mod:`omnisyn_cli.interpolation.configs`).
         renderer: one of :data:`omnisyn_cli.pipeline.renderers.RENDERERS`, or ``auto``: what the preset says.
         fusion: one of :data:`omnisyn_cli.pipeline.fusions.FUSIONS`, or ``auto``: what the preset says where depth is
             found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.

@@ -128,7 +128,7 @@ def _find_camera_fixed(
 
 
 def _known_depth(plan: TourPlan, entry: PosedPanorama) -> DepthEstimate | None:
-    if not plan.recipe.depth.strategy.reads_files or entry.depth is None:
+    if not plan.config.depth.strategy.reads_files or entry.depth is None:
         return None
     inverse_depth = read_inverse_depth(entry.depth, max_pixels=plan.job.max_pixels)
     return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))

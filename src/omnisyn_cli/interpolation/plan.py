@@ -11,6 +11,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
+from omnisyn_cli.interpolation.configs import for_frames, notes_about_gpu, surface_config, video_config
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
 from omnisyn_cli.interpolation.planning.memory import (
@@ -19,14 +20,13 @@ from omnisyn_cli.interpolation.planning.memory import (
     estimated_surface_memory,
     fuses_chain_depth,
 )
-from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, surface_recipe, video_recipe
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.images import is_squeezed
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, plan_path
@@ -72,20 +72,20 @@ class TourPlan:
         job: what was asked for.
         entries: the pose file's entry of every panorama.
         source_sizes: (height, width) at which every panorama is read.
-        recipe: what surfaces and frames are made with.
+        config: what surfaces and frames are made with.
         notes: what the user should know.
     """
 
     job: TourJob
     entries: tuple[PosedPanorama, ...]
     source_sizes: tuple[tuple[int, int], ...]
-    recipe: Recipe
+    config: RunConfig
     notes: tuple[str, ...]
 
     @property
     def looks_ahead(self) -> bool:
         """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
-        return fuses_chain_depth(self.recipe, len(self.entries))
+        return fuses_chain_depth(self.config, len(self.entries))
 
     @property
     def fused_depths(self) -> int:
@@ -120,15 +120,15 @@ class TourPlan:
             memory: bytes that will be taken.
             after: what is said after it.
         """
-        recipe = self.recipe
-        is_own = recipe.draws_surfaces
+        config = self.config
+        is_own = config.draws_surfaces
         return {
             "inputs": [str(image) for image in self.job.images],
             "output": str(self.job.output),
             **before,
             "preset": self.job.preset if is_own else "",
-            "depth": recipe.depth.kind,
-            "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
+            "depth": config.depth.kind,
+            "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
             "joined_depths": self.fused_depths,
             **(after or {}),
             "memory_mib": round(memory / 2**20),
@@ -168,15 +168,15 @@ class InterpolationPlan(TourPlan):
 
     def describe(self) -> dict[str, Any]:
         """See :meth:`TourPlan.described`."""
-        (height, width), recipe, job = self.frame_size, self.recipe, self.job
-        is_own = recipe.draws_surfaces
+        (height, width), config, job = self.frame_size, self.config, self.job
+        is_own = config.draws_surfaces
         video = {
             "frames": len(self.path), "fps": job.fps, "seconds_of_video": round(len(self.path) / job.fps, 3),
-            "size": f"{width}x{height}", "encoder": _encoder(job), "method": recipe.method,
+            "size": f"{width}x{height}", "encoder": _encoder(job), "method": config.method,
         }  # fmt: skip
         drawn = {
-            "renderer": recipe.renderer if is_own else recipe.method_strategy.renderer_label,
-            "fusion": recipe.fusion if is_own else "",
+            "renderer": config.renderer if is_own else config.method_strategy.renderer_label,
+            "fusion": config.fusion if is_own else "",
             "view": "" if job.view is None else str(job.view), "path_metres": round(self.length, 4),
         }  # fmt: skip
         return self.described(video, self.memory, drawn)
@@ -193,7 +193,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     if job.refine or job.poses == POSES_FROM_PICTURES:  # that takes a while: what can be refused is refused before
         checks.check_outputs(job, job.size or LIKELY_SIZE)
         frame_count(job)
-    tour = plan_tour(job, video_recipe)
+    tour = plan_tour(job, video_config)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     entries, frames = tour.entries, frame_count(job)
     size = job.size or default_size(job, tour.source_sizes)
@@ -203,17 +203,17 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     checks.check_outputs(job, size)
     checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
-    recipe = for_frames(tour.recipe, job, frames)
+    config = for_frames(tour.config, job, frames)
     heading: Heading = "travel" if job.projection == "flat" else job.heading
     path = tuple(plan_path(poses, frames, ease=job.ease, heading=heading))
     if job.projection == "flat":
         path = look_along(path, poses[0], job.look or LOOK_AHEAD)
     return InterpolationPlan(
-        job, entries, sources, recipe,
-        (*tour.notes, *_notes_about_video(job, entries, recipe), *_notes_about_size(job, tour.source_sizes, sources),
-         *notes_about_gpu(recipe, job)),
+        job, entries, sources, config,
+        (*tour.notes, *_notes_about_video(job, entries, config), *_notes_about_size(job, tour.source_sizes, sources),
+         *notes_about_gpu(config, job)),
         size, path, path_length(poses),
-        estimated_memory(job, recipe, size, sources, _surface_sizes(recipe, sources, entries)),
+        estimated_memory(job, config, size, sources, _surface_sizes(config, sources, entries)),
     )  # fmt: skip
 
 
@@ -236,12 +236,14 @@ def reduced_size(source: tuple[int, int], size: tuple[int, int]) -> tuple[int, i
     return (rows, 2 * rows) if source[0] > MIN_REDUCTION * rows else source
 
 
-def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], Recipe] = surface_recipe) -> TourPlan:
+def plan_tour(
+    job: TourJob, config_of: Callable[[Any, Sequence[PosedPanorama]], RunConfig] = surface_config
+) -> TourPlan:
     """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
 
     Args:
         job: what is asked for.
-        recipe_of: what surfaces and frames are made with, given the pose file's entry of every panorama.
+        config_of: what surfaces and frames are made with, given the pose file's entry of every panorama.
 
     Raises InputError: a file is missing, poses do not fit, an option makes no sense.
     """
@@ -254,17 +256,17 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
     check_names_tell_apart(job.images, pose_file)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
-    recipe = _installed(recipe_of(job, entries))
-    checks.check_companions(job, entries, source_sizes, recipe)
+    config = _installed(config_of(job, entries))
+    checks.check_companions(job, entries, source_sizes, config)
     about_places = _notes_about_baselines(job, entries)
-    notes = (*remarks, *_notes_about_pictures(job), *about_places, *_notes_about_depth(job, entries, recipe))
-    return TourPlan(job, entries, source_sizes, recipe, notes)
+    notes = (*remarks, *_notes_about_pictures(job), *about_places, *_notes_about_depth(job, entries, config))
+    return TourPlan(job, entries, source_sizes, config, notes)
 
 
 def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
     """Bytes that something made of the surfaces of a tour will take, estimated."""
-    surfaces = _surface_sizes(tour.recipe, tour.source_sizes, tour.entries)
-    return estimated_surface_memory(tour.job, tour.recipe, tour.source_sizes, surfaces, footprint)
+    surfaces = _surface_sizes(tour.config, tour.source_sizes, tour.entries)
+    return estimated_surface_memory(tour.job, tour.config, tour.source_sizes, surfaces, footprint)
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
@@ -273,23 +275,23 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     Raises InputError: the preset's network is not installed.
     """
     job = replace(plan.job, preset=preset)
-    recipe = for_frames(_installed(video_recipe(job, plan.entries)), job, len(plan.path))
-    surfaces = _surface_sizes(recipe, plan.source_sizes, plan.entries)
-    former = notes_about_gpu(plan.recipe, plan.job)
+    config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
+    surfaces = _surface_sizes(config, plan.source_sizes, plan.entries)
+    former = notes_about_gpu(plan.config, plan.job)
     return replace(
-        plan, job=job, recipe=recipe,
-        memory=estimated_memory(job, recipe, plan.size, plan.source_sizes, surfaces),
-        notes=(*(note for note in plan.notes if note not in former), *notes_about_gpu(recipe, job)),
+        plan, job=job, config=config,
+        memory=estimated_memory(job, config, plan.size, plan.source_sizes, surfaces),
+        notes=(*(note for note in plan.notes if note not in former), *notes_about_gpu(config, job)),
     )  # fmt: skip
 
 
-def _installed(recipe: Recipe) -> Recipe:
+def _installed(config: RunConfig) -> RunConfig:
     """The same; its networks are there, and that of depth is one for depth."""
-    if recipe.depth.model is not None:
-        find_model(recipe.depth.model, role=recipe.depth.strategy.role)
-    for network in recipe.networks:
+    if config.depth.model is not None:
+        find_model(config.depth.model, role=config.depth.strategy.role)
+    for network in config.networks:
         find_model(network)
-    return recipe
+    return config
 
 
 def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
@@ -351,11 +353,11 @@ def frame_count(job: InterpolationJob) -> int:
 
 
 def _surface_sizes(
-    recipe: Recipe, sources: Sequence[tuple[int, int]], entries: Sequence[PosedPanorama]
+    config: RunConfig, sources: Sequence[tuple[int, int]], entries: Sequence[PosedPanorama]
 ) -> list[tuple[int, int]]:
     """Height and width of surfaces, from coarse to fine."""
     files = [entry.depth for entry in entries if entry.depth is not None]
-    return recipe.depth.strategy.grid_sizes(recipe.depth, max(height for height, _ in sources), files)
+    return config.depth.strategy.grid_sizes(config.depth, max(height for height, _ in sources), files)
 
 
 def _encoder(job: InterpolationJob) -> str:
@@ -369,9 +371,9 @@ def _encoder(job: InterpolationJob) -> str:
     return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
 
 
-def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
+def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], config: RunConfig) -> Iterator[str]:
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
-    if recipe.estimates_depth and job.depth == "auto" and named:
+    if config.estimates_depth and job.depth == "auto" and named:
         why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
         yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
@@ -411,9 +413,9 @@ def _notes_about_baselines(job: TourJob, entries: Sequence[PosedPanorama]) -> It
             yield f"{a.name} and {b.name} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
 
 
-def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
-    if note := recipe.method_strategy.note:
-        yield f"{recipe.method} {note}"
+def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama], config: RunConfig) -> Iterator[str]:
+    if note := config.method_strategy.note:
+        yield f"{config.method} {note}"
     for where, is_turned in pairs_at_one_place(job, entries):
         how = "turns in place and cross-fades" if is_turned else "cross-fades"
         yield f"{where}: there is no parallax to follow, the video {how}"

@@ -133,7 +133,7 @@ def run_interpolation(
     with limited_threads(threads):
         with clock("decode"):
             loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
-        method = make_method(plan.recipe, plan.size, threads=threads, clock=clock, estimator=estimator)
+        method = make_method(plan.config, plan.size, threads=threads, clock=clock, estimator=estimator)
         with (
             depth_keeper(plan) as keep_depth,
             confidence_sink(plan) as keep_confidence,

@@ -97,7 +97,7 @@ class TourSummary:
     @property
     def confidence(self) -> dict[str, Any] | None:
         """The score of all is that of the worst pair; the shares are the means. None: nobody knows."""
-        if not self.plan.recipe.draws_surfaces:
+        if not self.plan.config.draws_surfaces:
             return None
         if not self.pairs:
             return {"score": 1.0, "pairs": []}
@@ -154,7 +154,7 @@ class TourSummary:
         if pair.disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
             yield "omnisyn poses check"
         yield "panoramas closer together"
-        if pair.score < MIN_PAIR_SCORE and self.plan.recipe.fallback == "none":
+        if pair.score < MIN_PAIR_SCORE and self.plan.config.fallback == "none":
             yield "--fallback crossfade"
 
     def warnings(self) -> list[str]:
@@ -208,7 +208,7 @@ def direction_in_words(direction: Float[np.ndarray, " 3"]) -> str:
 
 def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
     """Give up (InputError) on a pair that cannot be relied on, if that is what the plan wants then."""
-    if plan.recipe.fallback == "fail" and pair.score < MIN_PAIR_SCORE:
+    if plan.config.fallback == "fail" and pair.score < MIN_PAIR_SCORE:
         raise InputError(warning_about(plan, index, pair))
 
 

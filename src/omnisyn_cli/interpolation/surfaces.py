@@ -35,7 +35,7 @@ class PanoramaSurface:
         index: of the panorama in the job.
         view: the panorama: picture, pose, mask.
         depth: 1/metre and confidence, at a resolution of its own.
-        mesh: of that depth, in the frame of the panorama, cut by the recipe's rule; masked vertices have no surface.
+        mesh: of that depth, in the frame of the panorama, cut by the config's rule; masked vertices have no surface.
     """
 
     index: int
@@ -84,23 +84,23 @@ def tour_surfaces(
     """The surfaces of every pair of neighbours, one pair at a time, in order.
 
     Args:
-        plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its recipe depth, cut and device matter.
+        plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its config depth, cut and device matter.
         scores: is given how far each pair can be relied on, by the index of its first panorama.
         left_out: is given what share of each panorama moves with the camera, by its index.
         read: decodes a panorama.
-        estimator: finds depth in place of the recipe's.
+        estimator: finds depth in place of the config's.
         clock: collects seconds by stage.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
     """
-    clock, recipe, threads = clock or Stopwatch(), plan.recipe, plan.job.threads
+    clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
     loader = Loader(plan, clock, read)
-    estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
+    estimator = estimator or make_estimator(config.depth, device=config.device, threads=threads)
     tour = ChainDepth(loader, estimator, clock, threads)
     for first, second in pairwise(range(len(loader))):
         with limited_threads(threads):
             views = loader[first], loader[second]
-            size, cut = min(view.image.shape[:2] for view in views), Cut(recipe.cut, recipe.cut_metres)
+            size, cut = min(view.image.shape[:2] for view in views), Cut(config.cut, config.cut_metres)
             depths, check = measure_pair(first, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
                 pair = pair_surfaces(plan, first, views, depths, check)
@@ -117,13 +117,13 @@ def pair_surfaces(
     """The surfaces of a pair whose depth is known.
 
     Args:
-        plan: of the tour; only where its recipe cuts surfaces matters.
+        plan: of the tour; only where its config cuts surfaces matters.
         index: of the first view.
         views: both.
         depths: of both.
         check: what they say of each other.
     """
-    cut = Cut(plan.recipe.cut, plan.recipe.cut_metres)
+    cut = Cut(plan.config.cut, plan.config.cut_metres)
     views, depths = continue_ground(views, depths)
     first, second = (_meshed(index + k, views[k], depths[k], cut) for k in (0, 1))
     return PairSurfaces(index, (first, second), check)

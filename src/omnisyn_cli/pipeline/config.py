@@ -10,7 +10,7 @@ from omnisyn_cli.pipeline.fusions import FUSIONS, FusionStrategy
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN, MethodStrategy
 from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
 
-__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "Recipe", "frame_size"]
+__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size"]
 
 FALLBACKS = ("none", "crossfade", "fail")
 """What is done about pairs of low confidence: a warning, the photographs cross-faded in doubtful regions, nothing."""
@@ -34,7 +34,7 @@ def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class RunConfig:
     """What frames are made with.
 
     Attributes:
@@ -68,7 +68,7 @@ class Recipe:
     device: str = "auto"
     is_on_gpu: bool = False
 
-    def of_known_depth(self) -> Recipe:
+    def of_known_depth(self) -> RunConfig:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
         return replace(self, depth=replace(self.depth, kind="file", model=None), fusion="geometric")
 

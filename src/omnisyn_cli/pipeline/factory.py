@@ -1,4 +1,4 @@
-"""A method made of a recipe."""
+"""A method made of a config."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from omnisyn_cli.pipeline.methods import MethodParts
 
 if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
-    from omnisyn_cli.pipeline.config import Recipe
+    from omnisyn_cli.pipeline.config import RunConfig
     from omnisyn_cli.synthesis.methods import Method
     from omnisyn_cli.types import DepthEstimator, Fuser
 
@@ -18,7 +18,7 @@ __all__ = ["make_method"]
 
 
 def make_method(
-    recipe: Recipe,
+    config: RunConfig,
     size: tuple[int, int],
     *,
     threads: int | None = None,
@@ -26,15 +26,15 @@ def make_method(
     estimator: DepthEstimator | None = None,
     fuser: Fuser | None = None,
 ) -> Method:
-    """What makes frames of a size by a recipe.
+    """What makes frames of a size by a config.
 
     Args:
-        recipe: what they are made with.
+        config: what they are made with.
         size: height and width of the frames.
         threads: at most this many; None is one per core.
         clock: collects seconds by stage.
-        estimator: finds depth in place of the recipe's, for methods that draw surfaces.
-        fuser: joins renderings in place of the recipe's, likewise.
+        estimator: finds depth in place of the config's, for methods that draw surfaces.
+        fuser: joins renderings in place of the config's, likewise.
 
     Raises InputError: a network cannot be found or loaded, or there is no such device.
     """
@@ -42,16 +42,16 @@ def make_method(
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 
     options = SynthesisOptions(
-        size, recipe.renderer_strategy.load(), Cut(recipe.cut, recipe.cut_metres), threads,
-        cross_fade=recipe.fallback == "crossfade", confidence=recipe.confidence, adaptive=recipe.adaptive,
+        size, config.renderer_strategy.load(), Cut(config.cut, config.cut_metres), threads,
+        cross_fade=config.fallback == "crossfade", confidence=config.confidence, adaptive=config.adaptive,
     )  # fmt: skip
-    settings = FuserSettings(size, threads, recipe.fusion_rows, recipe.edges)
+    settings = FuserSettings(size, threads, config.fusion_rows, config.edges)
     parts = MethodParts(
         options,
         clock,
-        recipe.device,
-        recipe.is_on_gpu,
-        lambda: estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads),
-        lambda: fuser or make_fuser(recipe.fusion, settings, device=recipe.device),
+        config.device,
+        config.is_on_gpu,
+        lambda: estimator or make_estimator(config.depth, device=config.device, threads=threads),
+        lambda: fuser or make_fuser(config.fusion, settings, device=config.device),
     )
-    return recipe.method_strategy.make(parts)
+    return config.method_strategy.make(parts)

@@ -55,7 +55,7 @@ class MethodStrategy:
         description: what it does, in a few words.
         make: makes it of its parts.
         networks: names in the manifest of its own networks.
-        draws_surfaces: whether depth, renderer and fusion of a recipe matter.
+        draws_surfaces: whether depth, renderer and fusion of a config matter.
         is_offered: whether ``omnisyn interpolate`` has it; others are there for evaluation alone.
         renderer_label: what it draws with, where no renderer can be chosen.
         note: what users should know about its frames.

@@ -1,32 +1,32 @@
-"""How much time accuracy is worth: recipes with a name, from fast to balanced; and the paper's own method."""
+"""How much time accuracy is worth: configurations with a name, from fast to balanced; and the paper's own method."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 
 __all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A recipe for estimated depth.
+    """A config for estimated depth.
 
     Attributes:
         name: what users call it.
         summary: time and quality for them, in a line of a few words; see :mod:`omnisyn_cli.cli.options` for its unit.
-        recipe: what it stands for.
+        config: what it stands for.
     """
 
     name: str
     summary: str
-    recipe: Recipe
+    config: RunConfig
 
 
-def _refined(rows: int, **changes: Any) -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced"), adaptive=True, **changes)
+def _refined(rows: int, **changes: Any) -> RunConfig:
+    return RunConfig(DepthSource("refined", rows, "completion-balanced"), adaptive=True, **changes)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -42,7 +42,7 @@ SCALE: Mapping[str, Preset] = _by_name(
 REPRODUCTIONS: Mapping[str, Preset] = _by_name(
     Preset(
         "paper", "for comparison; less accurate than a fade",
-        Recipe(
+        RunConfig(
             DepthSource("network", 256, "depth-paper-narrow"), renderer="two-pass", cut=None, cut_metres=2.0,
             fusion="painting",
         ),

@@ -82,7 +82,7 @@ def _photograph_at(
         else:
             image = out()
             samples = view.image if view.image_uint8 is None else view.image_uint8
-            _turn_rows(samples, turn, Shader(tuple(options.size), options.threads), image)
+            _turn_rows(samples, turn, Shader(options.size, options.threads), image)
     return Frame(image, waypoint, None, confidence)
 
 

@@ -34,7 +34,7 @@ from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import WarpCandidates
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import mean_over_sphere
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
@@ -193,8 +193,8 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
     if found is None:
         return None
     rng = np.random.default_rng([23, seed])
-    recipe = replace(PRESETS[config.preset].recipe, depth=_depth_source(rng.random(), config))
-    samples = list(_samples(*found, recipe, rng, config))
+    run_config = replace(PRESETS[config.preset].config, depth=_depth_source(rng.random(), config))
+    samples = list(_samples(*found, run_config, rng, config))
     if not samples:
         return None
     file = scene_path(folder, seed)
@@ -208,7 +208,7 @@ def _depth_source(draw: float, config: FusionPoolConfig) -> DepthSource:
         return DepthSource("matching", config.rows)
     if draw < config.matched_share + config.known_share:
         return DepthSource("file")
-    return replace(PRESETS[config.preset].recipe.depth, rows=config.rows)
+    return replace(PRESETS[config.preset].config.depth, rows=config.rows)
 
 
 @lru_cache(maxsize=3)
@@ -217,7 +217,7 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
 
 
 def _samples(
-    scene: Scene, ends: Sequence[Pose], recipe: Recipe, rng: np.random.Generator, config: FusionPoolConfig
+    scene: Scene, ends: Sequence[Pose], run_config: RunConfig, rng: np.random.Generator, config: FusionPoolConfig
 ) -> Iterator[FusionSample]:
     size = (RENDER_SCALE * config.size[0], RENDER_SCALE * config.size[1])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
@@ -227,8 +227,9 @@ def _samples(
     first, second = (view.pose for view in views)
     positions = np.sort(rng.uniform(*config.position_range, config.views_between))
     path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in positions]
-    options = SynthesisOptions(size, recipe.renderer_strategy.load(), Cut(recipe.cut, recipe.cut_metres), threads=1)
-    for made in synthesize(views, path, SurfaceMethod(_estimator(recipe.depth), options, fuser)):
+    cut = Cut(run_config.cut, run_config.cut_metres)
+    options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
+    for made in synthesize(views, path, SurfaceMethod(_estimator(run_config.depth), options, fuser)):
         if seen := fuser.seen():
             scenery = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
             truth = downsample_channels_first(scenery, stored_size)

@@ -88,24 +88,24 @@ def test_the_plan_says_what_the_gpu_does_not_do(tmp_path: Path, changes: dict[st
     if "save_confidence" in changes:
         changes = {"save_confidence": tmp_path / "map"}
     plan = plan_interpolation(job_of(tmp_path, images, device="cuda", **changes))
-    assert plan.recipe.is_on_gpu == (noted is None or "adaptive" in noted)
+    assert plan.config.is_on_gpu == (noted is None or "adaptive" in noted)
     if noted is None:
         assert plan.notes == ()
     else:
         (note,) = plan.notes
         assert re.search(noted, note)
     without = plan_interpolation(job_of(tmp_path, images, **changes))
-    assert not without.recipe.is_on_gpu
+    assert not without.config.is_on_gpu
     assert without.notes == ()
 
 
 def test_notes_follow_the_preset(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
     plan = plan_interpolation(job_of(tmp_path, images, device="cuda", preset="paper"))
-    assert not plan.recipe.is_on_gpu
+    assert not plan.config.is_on_gpu
     assert len(plan.notes) == 1
     faster = with_preset(plan, "fast")
-    assert faster.recipe.is_on_gpu
+    assert faster.config.is_on_gpu
     assert faster.notes == ()
     assert with_preset(faster, "paper").notes == plan.notes
 
@@ -116,16 +116,16 @@ def test_a_gpu_fuses_by_rules_where_only_the_preset_has_a_network(tmp_path: Path
         plan_interpolation(job_of(tmp_path, images, device="cuda", preset="balanced", **changes))
         for changes in ({}, {"fusion": "network"}, {"save_confidence": tmp_path / "map"})
     )
-    assert (plan.recipe.is_on_gpu, plan.recipe.fusion) == (True, "geometric")
+    assert (plan.config.is_on_gpu, plan.config.fusion) == (True, "geometric")
     assert re.search(r"fuses by rules; --fusion network .* as preset balanced does$", plan.notes[0])
-    assert (asked.recipe.is_on_gpu, asked.recipe.fusion) == (False, "network")
-    assert (elsewhere.recipe.is_on_gpu, elsewhere.recipe.fusion) == (False, "network")
+    assert (asked.config.is_on_gpu, asked.config.fusion) == (False, "network")
+    assert (elsewhere.config.is_on_gpu, elsewhere.config.fusion) == (False, "network")
 
 
 def test_other_methods_have_nothing_to_do_with_it(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
     for method in (name for name, each in METHODS.items() if each.is_offered and not each.draws_surfaces):
-        assert not plan_interpolation(job_of(tmp_path, images, device="cuda", method=method)).recipe.is_on_gpu
+        assert not plan_interpolation(job_of(tmp_path, images, device="cuda", method=method)).config.is_on_gpu
 
 
 @pytest.mark.parametrize("more", [[], ["--dry-run"], ["--dry-run", "--renderer", "two-pass", "--depth", "refined"]])

@@ -165,10 +165,10 @@ def plan_export(job: ExportJob) -> ExportPlan:
     companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
     notes = list(tour.notes)
-    if tour.recipe.estimates_depth:
+    if tour.config.estimates_depth:
         notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(job, tour.entries)]
     return ExportPlan(
-        job, tour.entries, tour.source_sizes, tour.recipe, tuple(notes), name, job.stride or chosen.stride,
+        job, tour.entries, tour.source_sizes, tour.config, tuple(notes), name, job.stride or chosen.stride,
         chosen.sky if job.sky is None else job.sky,
     )  # fmt: skip
 
@@ -297,9 +297,9 @@ def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
 
 def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
     """The surface with everything beyond a distance at that distance."""
-    recipe, depth = plan.recipe, surface.depth
+    config, depth = plan.config, surface.depth
     rho = np.maximum(depth.inverse_depth, np.float32(1.0 / radius))
-    cut, mask = Cut(recipe.cut, recipe.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
+    cut, mask = Cut(config.cut, config.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
     return build_mesh(rho, cut, mask, depth.confidence)
 
 

@@ -58,7 +58,7 @@ def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
     """
     _check_measured(plan)
     table = shipped_table()
-    if not plan.recipe.estimates_depth:
+    if not plan.config.estimates_depth:
         return replace(plan, notes=(*plan.notes, _without_choice(expected_duration(plan, table), budget)))
     choice = choose_preset(plan, table, budget)
     chosen = with_preset(plan, choice.preset)
@@ -69,11 +69,11 @@ def _check_measured(plan: InterpolationPlan) -> None:
     """Pictures were compared with presets as they are, on the processor; depth from files takes no time."""
     job = plan.job
     asked = {
-        "renderer": (plan.recipe.renderer, ("mesh",)),
+        "renderer": (plan.config.renderer, ("mesh",)),
         "depth": (job.depth, ("auto", "file", "refined")),
         "model": (job.model, (None,)),
         "fusion": (job.fusion, ("auto",)),
-        "device": ("cuda" if plan.recipe.is_on_gpu else "cpu", ("cpu",)),
+        "device": ("cuda" if plan.config.is_on_gpu else "cpu", ("cpu",)),
     }
     for name, (given, measured) in asked.items():
         if given not in measured:
@@ -119,7 +119,7 @@ def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: flo
 
 def _scored(table: Sequence[Figures], preset: str) -> Figures | None:
     """Figures of a preset in the size with the most pixels that it has scores in."""
-    rated = [f for f in table if f.scores and f.recipe == SCALE[preset].recipe]
+    rated = [f for f in table if f.scores and f.config == SCALE[preset].config]
     return max(rated, key=lambda f: math.prod(f.setting.size), default=None)
 
 

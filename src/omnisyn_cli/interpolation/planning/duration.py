@@ -30,7 +30,7 @@ from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.planning.figures import Figures, read_table
 from omnisyn_cli.io.outputs import write_parts
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
 if TYPE_CHECKING:
@@ -278,20 +278,20 @@ def _threads(plan: InterpolationPlan) -> int:
 
 def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
     """What a job is in computing, None where the table does not say."""
-    recipe = plan.recipe
+    config = plan.config
     finders = (
-        _like(table, recipe, "depth.kind", "depth.networks") if recipe.estimates_depth else _standard_figures(table)
+        _like(table, config, "depth.kind", "depth.networks") if config.estimates_depth else _standard_figures(table)
     )
-    renderers, fusers = _like(table, recipe, "renderer"), _like(table, recipe, "fusion", "edges")
-    if not recipe.draws_surfaces or recipe.is_on_gpu or not (finders and renderers and fusers):
+    renderers, fusers = _like(table, config, "renderer"), _like(table, config, "fusion", "edges")
+    if not config.draws_surfaces or config.is_on_gpu or not (finders and renderers and fusers):
         return None
-    finder, renderer = (_nearest(each, recipe) for each in (finders, renderers))
-    standard = _nearest(_standard_figures(table), PRESETS[DEFAULT_PRESET].recipe)
+    finder, renderer = (_nearest(each, config) for each in (finders, renderers))
+    standard = _nearest(_standard_figures(table), PRESETS[DEFAULT_PRESET].config)
     source = math.prod(max(plan.source_sizes)) / math.prod(standard.source)
-    found = sum(finder.seconds[stage] for stage in ("depth",) if recipe.estimates_depth)
+    found = sum(finder.seconds[stage] for stage in ("depth",) if config.estimates_depth)
     surfaces = finder.seconds["check"] + renderer.seconds["mesh"]
     panoramas = len(plan.entries)
-    frame = _at(table, renderer, "render", plan.size) + _at(table, _nearest(fusers, recipe), "fuse", plan.size)
+    frame = _at(table, renderer, "render", plan.size) + _at(table, _nearest(fusers, config), "fuse", plan.size)
     frame += _at(table, standard, "encode", plan.size)
     return Work(
         standard.seconds["start"],
@@ -301,40 +301,40 @@ def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
 
 
 def _standard_figures(table: Sequence[Figures]) -> list[Figures]:
-    return _like(table, PRESETS[DEFAULT_PRESET].recipe, *STAGE_SETTINGS)
+    return _like(table, PRESETS[DEFAULT_PRESET].config, *STAGE_SETTINGS)
 
 
-STAGE_SETTINGS: dict[str, Callable[[Recipe], object]] = {
-    "depth.kind": lambda recipe: recipe.depth.kind,
-    "depth.networks": lambda recipe: recipe.depth.networks,
-    "renderer": lambda recipe: recipe.renderer,
-    "fusion": lambda recipe: (recipe.fusion, recipe.fusion_rows if recipe.fusion_strategy.corrects_rules else 0),
-    "edges": lambda recipe: recipe.edges,
+STAGE_SETTINGS: dict[str, Callable[[RunConfig], object]] = {
+    "depth.kind": lambda config: config.depth.kind,
+    "depth.networks": lambda config: config.depth.networks,
+    "renderer": lambda config: config.renderer,
+    "fusion": lambda config: (config.fusion, config.fusion_rows if config.fusion_strategy.corrects_rules else 0),
+    "edges": lambda config: config.edges,
 }
 """What a stage may depend on."""
 
 
-def _like(table: Sequence[Figures], recipe: Recipe, *aspects: str) -> list[Figures]:
-    """Figures of settings that agree with a recipe."""
+def _like(table: Sequence[Figures], config: RunConfig, *aspects: str) -> list[Figures]:
+    """Figures of settings that agree with a config."""
     return [
         f
         for f in table
-        if all(STAGE_SETTINGS[aspect](f.recipe) == STAGE_SETTINGS[aspect](recipe) for aspect in aspects)
+        if all(STAGE_SETTINGS[aspect](f.config) == STAGE_SETTINGS[aspect](config) for aspect in aspects)
     ]
 
 
-def _nearest(measured: Sequence[Figures], recipe: Recipe) -> Figures:
+def _nearest(measured: Sequence[Figures], config: RunConfig) -> Figures:
     """Those with the most similar density of depth, then those with the most pairs."""
-    return min(measured, key=lambda f: (abs(math.log2(f.recipe.depth.rows / recipe.depth.rows)), -f.pairs))
+    return min(measured, key=lambda f: (abs(math.log2(f.config.depth.rows / config.depth.rows)), -f.pairs))
 
 
 def _at(table: Sequence[Figures], figures: Figures, stage: str, size: tuple[int, int]) -> float:
     """Seconds of a stage for a frame of a size: between the sizes of a method, else as much more than the default's."""
-    sizes = [f for f in table if f.recipe == figures.recipe]
+    sizes = [f for f in table if f.config == figures.config]
     if len(sizes) > 1:
         return _between(sizes, stage, math.prod(size))
     standard = [
-        f for f in table if f.recipe == _nearest(_standard_figures(table), PRESETS[DEFAULT_PRESET].recipe).recipe
+        f for f in table if f.config == _nearest(_standard_figures(table), PRESETS[DEFAULT_PRESET].config).config
     ]
     here, there = (_between(standard, stage, math.prod(each)) for each in (size, figures.setting.size))
     return max(0.0, here + figures.seconds[stage] - there)

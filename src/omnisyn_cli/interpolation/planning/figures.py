@@ -19,7 +19,7 @@ from pydantic import ConfigDict, TypeAdapter
 from omnisyn_cli import __version__
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_parts
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 
 __all__ = [
     "FIGURES",
@@ -69,7 +69,7 @@ class Setting:
         return f"{self.method}, {self.size[1]}x{self.size[0]}, {threads}"
 
 
-DEFAULT_RECIPE = Recipe()
+DEFAULT_CONFIG = RunConfig()
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Figures:
         setting: which.
         status: ``done``, or ``failed`` for a ``reason``.
         reason: why there are no figures.
-        recipe: what the method stands for.
+        config: what the method stands for.
         key: what the figures depend on, as a digest.
         source: height and width of the panoramas.
         seconds: of computing by stage: ``start`` once; those of :data:`FRAME_STAGES` for each frame; others for each
@@ -94,7 +94,7 @@ class Figures:
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
-    recipe: Recipe = DEFAULT_RECIPE
+    config: RunConfig = DEFAULT_CONFIG
     key: str = ""
     source: tuple[int, int] = (0, 0)
     seconds: Mapping[str, float] = field(default_factory=dict)

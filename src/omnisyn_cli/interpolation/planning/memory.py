@@ -9,7 +9,7 @@ from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
-from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.config import RunConfig
 
 FRAME_COPY_BYTES, ROUNDED_COPY_BYTES = 18, 10
 """Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
@@ -32,9 +32,9 @@ LOOK_AHEAD_VERTEX_BYTES = 4 * 8
 """Bytes of each vertex of a surface that are held of the pair after the one at work, and while both are joined."""
 
 
-def fuses_chain_depth(recipe: Recipe, panoramas: int) -> bool:
+def fuses_chain_depth(config: RunConfig, panoramas: int) -> bool:
     """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
-    return recipe.estimates_depth and panoramas > 2
+    return config.estimates_depth and panoramas > 2
 
 
 @dataclass(frozen=True)
@@ -57,32 +57,32 @@ class Footprint:
 
 
 def estimated_surface_memory(
-    job: TourJob, recipe: Recipe, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
+    job: TourJob, config: RunConfig, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
     footprint: Footprint,
 ) -> int:  # fmt: skip
     """Bytes, estimated: the most of what is held while depth is found and while something is made of a surface.
 
     Args:
         job: what is asked for.
-        recipe: what surfaces are made with.
+        config: what surfaces are made with.
         sources: height and width of the panoramas.
         depths: those of the surfaces, see :func:`estimated_memory`.
         footprint: what is made of surfaces.
 
     Raises ImageError: a panorama is missing or unreadable.
     """
-    source = recipe.depth.strategy
+    source = config.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     is_8_bit = all(read_header(image).dtype == "uint8" for image in job.images)
     panorama = FLOAT_PIXEL_BYTES + (3 if is_8_bit else FLOAT_PIXEL_BYTES)
     more = (panorama * largest + UNCOLLECTED_BYTES) if len(sources) > 2 else 0.0
-    if fuses_chain_depth(recipe, len(sources)):
+    if fuses_chain_depth(config, len(sources)):
         more += panorama * largest + LOOK_AHEAD_VERTEX_BYTES * vertices
     picture = largest if footprint.columns is None else min(largest, footprint.columns**2 // 2)
     kept = len(sources) * (footprint.per_pixel * picture + footprint.per_vertex * vertices)
     making = max(
         source.bytes_of_finding(depths),
-        footprint.writing * largest + recipe.renderer_strategy.building_bytes * vertices,
+        footprint.writing * largest + config.renderer_strategy.building_bytes * vertices,
         len(sources) * footprint.closing * vertices,
     )
     return int(source.bytes_of_program(depths) + 2 * panorama * largest + more + kept + making)
@@ -90,7 +90,7 @@ def estimated_surface_memory(
 
 def estimated_memory(
     job: InterpolationJob,
-    recipe: Recipe,
+    config: RunConfig,
     size: tuple[int, int],
     sources: Sequence[tuple[int, int]],
     depths: Sequence[tuple[int, int]],
@@ -99,7 +99,7 @@ def estimated_memory(
 
     Args:
         job: what is asked for.
-        recipe: what frames are made with.
+        config: what frames are made with.
         size: height and width of the frames.
         sources: those of the panoramas.
         depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
@@ -107,15 +107,15 @@ def estimated_memory(
 
     Raises ImageError: a panorama is missing or unreadable.
     """
-    source = recipe.depth.strategy
+    source = config.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     is_8_bit = all(read_header(image).dtype == "uint8" for image in job.images)
-    is_kept_as_samples = is_8_bit and recipe.renderer_strategy.shades_on_demand
+    is_kept_as_samples = is_8_bit and config.renderer_strategy.shades_on_demand
     kept = (3 if is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
     texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
     program = source.bytes_of_program(depths)
-    frames = _bytes_of_frames(job, recipe, size) + FLOAT_PIXEL_BYTES * largest
-    if not recipe.draws_surfaces:
+    frames = _bytes_of_frames(job, config, size) + FLOAT_PIXEL_BYTES * largest
+    if not config.draws_surfaces:
         return int(program + 2 * kept * largest + frames)
     finding = source.bytes_of_finding(depths)
     if source.refines(depths):
@@ -124,25 +124,25 @@ def estimated_memory(
         (FLOAT_PIXEL_BYTES + (3 if is_8_bit else 0)) * largest + LOOK_AHEAD_VERTEX_BYTES * vertices + UNCOLLECTED_BYTES
     )
     texturing_surfaces = (
-        2 * recipe.renderer_strategy.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * largest
+        2 * config.renderer_strategy.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * largest
     )
-    frames += 2 * recipe.renderer_strategy.kept_bytes * vertices
-    more = ahead if fuses_chain_depth(recipe, len(sources)) else 0.0
+    frames += 2 * config.renderer_strategy.kept_bytes * vertices
+    more = ahead if fuses_chain_depth(config, len(sources)) else 0.0
     return int(program + 2 * kept * largest + more + max(finding, texturing_surfaces, frames))
 
 
-def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int]) -> float:
+def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, int]) -> float:
     """What making frames takes: two surfaces as seen, marks of pixels, the pyramid of holes, frames under way."""
     pixels = size[0] * size[1]
     waiting = frames_in_queue(size) + 2
     largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
-    if not recipe.draws_surfaces:
+    if not config.draws_surfaces:
         return pixels * (16 + 12 + 3 * largest_sample * waiting + 1.5)
     pyramid, planes = 16 / 3, 1.5
-    renderer, fusion = recipe.renderer_strategy, recipe.fusion_strategy
+    renderer, fusion = config.renderer_strategy, config.fusion_strategy
     is_held = not renderer.shades_on_demand or (fusion.by_rules and ghost_sample_step(size) == 1)
-    is_judged = recipe.fallback == "crossfade" or recipe.confidence
-    marked = 1 if recipe.supersamples else 0
+    is_judged = config.fallback == "crossfade" or config.confidence
+    marked = 1 if config.supersamples else 0
     frame = ROUNDED_COPY_BYTES if is_rounded(job) else 12 + FRAME_COPY_BYTES
     whole = (
         2 * (renderer.pixel_bytes + (16 if is_held else 0))

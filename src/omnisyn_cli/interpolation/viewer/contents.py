@@ -96,7 +96,7 @@ class TourPacker:
         for surface in pair.surfaces:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
-        is_ambiguous = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
+        is_ambiguous = self._plan.config.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
         surfaces = [self._surface(surface.mesh) for surface in pair.surfaces]
         self._pairs[pair.index] = {
             "isCrossFade": is_ambiguous, "exposure": _gains(pair.check.curve), "surfaces": surfaces,

@@ -1,4 +1,4 @@
-"""A recipe says everything: which networks take part, and what is made of it."""
+"""A config says everything: which networks take part, and what is made of it."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.baselines.fades import CrossFades, FlowFades
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -23,7 +23,7 @@ HALF_WAY = Waypoint(0, 0.5, posed((0, 0, 0)))
 @pytest.mark.parametrize(("name", "kind"), [("crossfade", CrossFades), ("flow", FlowFades), ("omnisyn", SurfaceMethod)])
 def test_a_method_is_what_its_recipe_names_and_makes_frames_of_its_size(name: str, kind: type) -> None:
     views = [hall_view(posed((0, 0, z)), SIZE) for z in (0.5, -0.5)]
-    method = make_method(Recipe(method=name), (32, 64), threads=1)
+    method = make_method(RunConfig(method=name), (32, 64), threads=1)
     assert type(method) is kind
     pair = method.prepare(0, views)
     frame, geometry = pair.frame(HALF_WAY), pair.inverse_depth(HALF_WAY)
@@ -34,11 +34,11 @@ def test_a_method_is_what_its_recipe_names_and_makes_frames_of_its_size(name: st
 
 
 def test_an_estimator_and_a_fuser_of_ones_own_take_the_place_of_the_recipes() -> None:
-    """The recipe names networks that do not exist: nobody looks for them."""
+    """The config names networks that do not exist: nobody looks for them."""
     views = [hall_view(posed((0, 0, z)), SIZE) for z in (0.5, -0.5)]
-    recipe = Recipe(DepthSource("refined", model="nowhere"), fusion="painting")
+    config = RunConfig(DepthSource("refined", model="nowhere"), fusion="painting")
     method = make_method(
-        recipe, SIZE, threads=1, estimator=lambda *_: tuple(view.known_depth for view in views),
+        config, SIZE, threads=1, estimator=lambda *_: tuple(view.known_depth for view in views),
         fuser=lambda first, second, t: 0.5 * first.colour[..., :3] + 0.5 * second.colour[..., :3],
     )  # fmt: skip
     image = method.prepare(0, views).frame(HALF_WAY).image
@@ -47,17 +47,17 @@ def test_an_estimator_and_a_fuser_of_ones_own_take_the_place_of_the_recipes() ->
 
 def test_known_depth_needs_no_network_and_changes_nothing_else() -> None:
     for preset in PRESETS.values():
-        known = preset.recipe.of_known_depth()
+        known = preset.config.of_known_depth()
         assert known.networks == ()
-        assert replace(known, depth=preset.recipe.depth, fusion=preset.recipe.fusion) == preset.recipe
+        assert replace(known, depth=preset.config.depth, fusion=preset.config.fusion) == preset.config
 
 
 def test_networks_are_those_of_depth_and_fusion_or_of_synsin() -> None:
-    assert Recipe().networks == ()
-    assert Recipe(DepthSource("network", model="mine.onnx"), fusion="network").networks == (
+    assert RunConfig().networks == ()
+    assert RunConfig(DepthSource("network", model="mine.onnx"), fusion="network").networks == (
         "mine.onnx", FUSIONS["network"].model
     )  # fmt: skip
-    assert Recipe(method="synsin").networks == SYNSIN_MODELS
+    assert RunConfig(method="synsin").networks == SYNSIN_MODELS
 
 
 def test_sources_without_a_name_or_a_model_are_refused() -> None:
@@ -71,10 +71,10 @@ def test_sources_without_a_name_or_a_model_are_refused() -> None:
 @pytest.mark.parametrize(
     ("unknown", "message"),
     [
-        (Recipe(renderer="magic"), r"renderer of mesh, two-pass, got 'magic'"),
-        (Recipe(fusion="magic"), r"fusion of geometric, network, painting, got 'magic'"),
-        (Recipe(method="magic"), r"method of omnisyn, .*, got 'magic'"),
-        (Recipe(DepthSource("magic")), r"depth source of file, .*, got 'magic'"),
+        (RunConfig(renderer="magic"), r"renderer of mesh, two-pass, got 'magic'"),
+        (RunConfig(fusion="magic"), r"fusion of geometric, network, painting, got 'magic'"),
+        (RunConfig(method="magic"), r"method of omnisyn, .*, got 'magic'"),
+        (RunConfig(DepthSource("magic")), r"depth source of file, .*, got 'magic'"),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_known_ones(unknown, message):

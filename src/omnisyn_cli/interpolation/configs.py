@@ -5,14 +5,14 @@ from dataclasses import replace
 
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
-from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
 from omnisyn_cli.pipeline.methods import METHODS
 from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.session import check_device_of_networks
 
-__all__ = ["check_device", "surface_recipe", "video_recipe"]
+__all__ = ["check_device", "surface_config", "video_config"]
 
 MIN_FRAMES_TO_SIMPLIFY = 32
 """Between two panoramas, from which on fewer triangles save more time than it takes to find them.
@@ -21,7 +21,7 @@ Finding them takes 0.5 s of one core for a mesh of 1024×512, each frame of 1024
 """
 
 
-def surface_recipe(job: TourJob, entries: Sequence[PosedPanorama]) -> Recipe:
+def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     """What the surfaces of a job are made with: what it says, else its preset.
 
     Args:
@@ -31,10 +31,10 @@ def surface_recipe(job: TourJob, entries: Sequence[PosedPanorama]) -> Recipe:
     Raises PoseError: depth is to come from files, and the pose file does not name one for every panorama;
     InputError: a network where none has a part, or none where one has.
     """
-    defaults = PRESETS[job.preset].recipe
+    defaults = PRESETS[job.preset].config
     kind = _depth_kind(job, entries, defaults)
     has_default_cut = job.cut is None and job.cut_metres is None
-    return Recipe(
+    return RunConfig(
         DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults)),
         cut=defaults.cut if has_default_cut else job.cut,
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
@@ -42,12 +42,12 @@ def surface_recipe(job: TourJob, entries: Sequence[PosedPanorama]) -> Recipe:
     )  # fmt: skip
 
 
-def video_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:
+def video_config(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     """What the frames of a job are made with, likewise."""
     if not METHODS[job.method].draws_surfaces:
-        return Recipe(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
-    defaults, surfaces = PRESETS[job.preset].recipe, surface_recipe(job, entries)
-    recipe = replace(
+        return RunConfig(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
+    defaults, surfaces = PRESETS[job.preset].config, surface_config(job, entries)
+    config = replace(
         surfaces,
         renderer=defaults.renderer if job.renderer == "auto" else job.renderer,
         adaptive=defaults.adaptive if job.adaptive is None else job.adaptive,
@@ -55,19 +55,19 @@ def video_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Rec
         confidence=job.save_confidence is not None,
     )  # fmt: skip
     if job.projection == "flat":  # networks and edge pixels know panoramas alone
-        recipe = replace(recipe, renderer="mesh", fusion="geometric", edges=False)
-    return _on_gpu(recipe, job) if job.device == "cuda" else recipe
+        config = replace(config, renderer="mesh", fusion="geometric", edges=False)
+    return _on_gpu(config, job) if job.device == "cuda" else config
 
 
-def for_frames(recipe: Recipe, job: InterpolationJob, frames: int) -> Recipe:
-    """The recipe for so many frames: with fewer triangles, if nobody says otherwise, where that saves time."""
+def for_frames(config: RunConfig, job: InterpolationJob, frames: int) -> RunConfig:
+    """The config for so many frames: with fewer triangles, if nobody says otherwise, where that saves time."""
     if job.adaptive is not None:
-        return recipe
-    is_worth_it = frames > MIN_FRAMES_TO_SIMPLIFY * (len(job.images) - 1) and not recipe.is_on_gpu
-    return replace(recipe, adaptive=recipe.adaptive and is_worth_it)
+        return config
+    is_worth_it = frames > MIN_FRAMES_TO_SIMPLIFY * (len(job.images) - 1) and not config.is_on_gpu
+    return replace(config, adaptive=config.adaptive and is_worth_it)
 
 
-def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: Recipe) -> str:
+def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: RunConfig) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
         return defaults.depth.kind if without or job.model is not None else "file"
@@ -79,7 +79,7 @@ def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: Recipe
     return job.depth
 
 
-def _model(job: TourJob, kind: str, defaults: Recipe) -> str | None:
+def _model(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
     """The network that finds or refines depth, if one does."""
     source = DEPTH_SOURCES[kind]
     if not source.has_network:
@@ -96,60 +96,60 @@ def _model(job: TourJob, kind: str, defaults: Recipe) -> str | None:
     return model
 
 
-def _fusion(job: InterpolationJob, kind: str, defaults: Recipe) -> str:
+def _fusion(job: InterpolationJob, kind: str, defaults: RunConfig) -> str:
     """What the job says, else its preset where depth is found as it says: no network saw renderings of other depth."""
     if job.fusion != "auto":
         return job.fusion
     return defaults.fusion if kind == defaults.depth.kind else "geometric"
 
 
-def _on_gpu(recipe: Recipe, job: InterpolationJob) -> Recipe:
+def _on_gpu(config: RunConfig, job: InterpolationJob) -> RunConfig:
     """With frames on the GPU if it does all that is asked for; by rules where only the preset has a network correct."""
-    by_rules = replace(recipe, fusion="geometric")
-    wanted = by_rules if job.fusion == "auto" and recipe.fusion_strategy.corrects_rules else recipe
-    return recipe if _against_gpu(wanted) else replace(wanted, is_on_gpu=True)
+    by_rules = replace(config, fusion="geometric")
+    wanted = by_rules if job.fusion == "auto" and config.fusion_strategy.corrects_rules else config
+    return config if _against_gpu(wanted) else replace(wanted, is_on_gpu=True)
 
 
-def _against_gpu(recipe: Recipe) -> list[str]:
+def _against_gpu(config: RunConfig) -> list[str]:
     """What a GPU does not do."""
     wanted = {
-        f"the renderer {recipe.renderer}": not recipe.renderer_strategy.runs_on_gpu,
-        f"the fusion {recipe.fusion}": not recipe.fusion_strategy.runs_on_gpu,
-        "confidence maps (--save-confidence)": recipe.confidence,
-        "cross-fades (--fallback crossfade)": recipe.fallback == "crossfade",
+        f"the renderer {config.renderer}": not config.renderer_strategy.runs_on_gpu,
+        f"the fusion {config.fusion}": not config.fusion_strategy.runs_on_gpu,
+        "confidence maps (--save-confidence)": config.confidence,
+        "cross-fades (--fallback crossfade)": config.fallback == "crossfade",
     }
     return [what for what, is_wanted in wanted.items() if is_wanted]
 
 
-def notes_about_gpu(recipe: Recipe, job: InterpolationJob) -> tuple[str, ...]:
+def notes_about_gpu(config: RunConfig, job: InterpolationJob) -> tuple[str, ...]:
     """What a user who asked for CUDA should know."""
-    if recipe.device != "cuda" or not recipe.draws_surfaces:
+    if config.device != "cuda" or not config.draws_surfaces:
         return ()
-    if not recipe.is_on_gpu:
+    if not config.is_on_gpu:
         return (
             "frames are made on the processor: the GPU makes them only with the renderer mesh and the fusion "
-            f"geometric, without confidence maps and cross-fades; this job has {', '.join(_against_gpu(recipe))}",
+            f"geometric, without confidence maps and cross-fades; this job has {', '.join(_against_gpu(config))}",
         )
     notes = []
-    if recipe.fusion != _fusion(job, recipe.depth.kind, PRESETS[job.preset].recipe):
+    if config.fusion != _fusion(job, config.depth.kind, PRESETS[job.preset].config):
         notes.append(
             f"the GPU fuses by rules; --fusion network has frames made on the processor, as preset {job.preset} does"
         )
-    if recipe.adaptive:
+    if config.adaptive:
         notes.append("on the GPU every triangle is drawn, --adaptive changes nothing")
     return tuple(notes)
 
 
-def check_device(recipe: Recipe) -> None:
+def check_device(config: RunConfig) -> None:
     """Refuse a device that this machine does not have; a plan alone may be for another one.
 
     Raises InputError: there is no such device here.
     """
-    if recipe.device != "cuda":
+    if config.device != "cuda":
         return
-    if recipe.is_on_gpu:
+    if config.is_on_gpu:
         from omnisyn_cli.synthesis.device.device import open_device  # torch takes seconds to import
 
-        open_device(recipe.device)
-    if recipe.networks:
-        check_device_of_networks(recipe.device)
+        open_device(config.device)
+    if config.networks:
+        check_device_of_networks(config.device)
