@@ -177,7 +177,7 @@ def interpolate(
     omnisyn interpolate walk.mp4 --every 2s
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
-    it, in the order of their names.
+    it, in an order that their matches tell.
 
     With the default --heading, the first and the last frame are the panoramas themselves.
 
