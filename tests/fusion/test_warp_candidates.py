@@ -16,7 +16,7 @@ from omnisyn_cli.fusion.warp_candidates import (
     CROSS_VIEW,
     HYPOTHESIS_DEPTHS,
     HYPOTHESIS_OCCLUSION,
-    HYPOTHESIS_RADIUS,
+    HYPOTHESIS_WINDOW_RADIUS,
     WarpCandidates,
     depth_hypotheses,
     make_warp_candidates,
@@ -39,8 +39,10 @@ def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_
     first[10, 63], second[20, 30] = 0.9, 0.1
     farthest, nearest = depth_hypotheses(shown(first), shown(second))
     row, col = np.indices(SIZE)
-    by_near = (np.abs(row - 10) <= HYPOTHESIS_RADIUS) & (np.abs((col - 63 + 32) % 64 - 32) <= HYPOTHESIS_RADIUS)
-    by_far = (np.abs(row - 20) <= HYPOTHESIS_RADIUS) & (np.abs(col - 30) <= HYPOTHESIS_RADIUS)
+    by_near = (np.abs(row - 10) <= HYPOTHESIS_WINDOW_RADIUS) & (
+        np.abs((col - 63 + 32) % 64 - 32) <= HYPOTHESIS_WINDOW_RADIUS
+    )
+    by_far = (np.abs(row - 20) <= HYPOTHESIS_WINDOW_RADIUS) & (np.abs(col - 30) <= HYPOTHESIS_WINDOW_RADIUS)
     np.testing.assert_array_equal(nearest, np.where(by_near, np.float32(0.9), np.float32(0.3)))
     np.testing.assert_array_equal(farthest, np.where(by_far, np.float32(0.1), np.float32(0.3)))
 

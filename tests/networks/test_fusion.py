@@ -8,9 +8,9 @@ from torch.nn import functional
 from omnisyn_cli.fusion.warp_candidates import MIN_CANDIDATE_WEIGHT
 from omnisyn_cli.networks.fusion import (
     FUSION_VARIANTS,
-    HYPOTHESIS_CHANNELS,
+    HYPOTHESIS_SLICE,
     RELEVANCE_CHANNEL,
-    SEEN_CHANNELS,
+    SEEN_SLICE,
     DirectFusionUNet,
     FusionConfig,
     ResidualFusionUNet,
@@ -52,8 +52,8 @@ def test_a_fresh_network_corrects_nothing_that_is_looked_up():
 def test_candidates_count_where_it_is_open_what_is_shown():
     """By hand: one surface around; two of nearly one depth; two, that matter by half; seen by one view; a hole."""
     given = torch.zeros(1, 52, 1, 5)
-    given[0, SEEN_CHANNELS] = torch.tensor([[[1.0, 1.0, 1.0, 0.0, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
-    given[0, HYPOTHESIS_CHANNELS] = torch.tensor([[[1.0, 0.97, 0.5, 0.5, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
+    given[0, SEEN_SLICE] = torch.tensor([[[1.0, 1.0, 1.0, 0.0, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
+    given[0, HYPOTHESIS_SLICE] = torch.tensor([[[1.0, 0.97, 0.5, 0.5, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
     given[0, RELEVANCE_CHANNEL] = torch.tensor([1.0, 1.0, 0.5, 0.0, 1.0])
     apart = (1 - 0.97**2) / 0.06
     wanted = torch.tensor([0.0, 1 - math.exp(-(apart**2)), 0.5, 1.0, 1.0])

@@ -7,7 +7,7 @@ import pytest
 import torch
 from render_samples import POSES, moved, random_pose, rough, smooth, sphere, turn
 
-from omnisyn_cli.baselines.soft_points import MIN_OPACITY, Cloud, even_points, list_visible, splat
+from omnisyn_cli.baselines.soft_points import MIN_DIVISOR_OPACITY, Cloud, even_points, list_visible, splat
 from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -53,7 +53,7 @@ def reference(clouds: list[Cloud], size: tuple[int, int], radius: float) -> np.n
             for _, direction, feature in points:
                 square = ((ray - direction) @ (ray - direction)) / rim**2
                 if square <= 1.0:
-                    alpha = 1.0 - math.sqrt(max(square, MIN_OPACITY))
+                    alpha = 1.0 - math.sqrt(max(square, MIN_DIVISOR_OPACITY))
                     out[row, col, :-1] += left * alpha * feature
                     left *= 1.0 - alpha
             out[row, col, -1] = 1.0 - left

@@ -92,9 +92,9 @@ def test_the_network_learns_on_the_picture_that_the_program_makes():
 
 def test_the_network_knows_where_the_weights_are():
     """Networks and fusion do not know each other, so the place of the plane is written down twice."""
-    assert slice(channel.SEEN_MASKS, channel.SEEN_MASKS + 2) == networks.SEEN_CHANNELS
+    assert slice(channel.SEEN_MASKS, channel.SEEN_MASKS + 2) == networks.SEEN_SLICE
     assert networks.RELEVANCE_CHANNEL == channel.RELEVANCE
-    assert slice(HYPOTHESIS_DEPTHS, HYPOTHESIS_DEPTHS + 2) == networks.HYPOTHESIS_CHANNELS
+    assert slice(HYPOTHESIS_DEPTHS, HYPOTHESIS_DEPTHS + 2) == networks.HYPOTHESIS_SLICE
     assert networks.FUSION_VARIANTS["residual"].channels == INPUT_CHANNELS + CANDIDATE_CHANNELS
 
 

@@ -32,7 +32,7 @@ POINTS_PER_PIXEL = 32
 GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Multiples of it, modulo 1, keep away from each other."""
 
-MIN_OPACITY = 1e-3
+MIN_DIVISOR_OPACITY = 1e-3
 """Least squared distance in radii: no point is quite opaque, so that gradients reach what is behind it."""
 
 
@@ -168,7 +168,7 @@ def splat(
     angle = disc_angle(radius, size[0])
 
     def band(begin: int, end: int) -> None:
-        composite(lists.points, lists.found, features, angle, MIN_OPACITY, sin_p, cos_p, out, begin, end)
+        composite(lists.points, lists.found, features, angle, MIN_DIVISOR_OPACITY, sin_p, cos_p, out, begin, end)
 
     run_ranges(band, size[0], threads)
     return out

@@ -14,7 +14,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.baselines.soft_points import MIN_OPACITY, POINT_RADIUS_ROWS, POINTS_PER_PIXEL, disc_angle, list_visible
+from omnisyn_cli.baselines.soft_points import (
+    MIN_DIVISOR_OPACITY,
+    POINT_RADIUS_ROWS,
+    POINTS_PER_PIXEL,
+    disc_angle,
+    list_visible,
+)
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import normalize, pixel_directions
 
@@ -69,7 +75,7 @@ def _shares(
     apart = functional.embedding(found.clamp(min=0), centres) - rays
     largest = 2.0 * math.sin(0.5 * disc_angle(radius, size[0]))
     square = apart.square().sum(dim=-1) / largest**2
-    alpha = (1.0 - square.clamp(MIN_OPACITY, 1.0).sqrt()) * (found >= 0)
+    alpha = (1.0 - square.clamp(MIN_DIVISOR_OPACITY, 1.0).sqrt()) * (found >= 0)
     left = (1.0 - alpha).cumprod(dim=1)
     before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], dim=1)
     return alpha * before, 1.0 - left[:, -1]

@@ -37,7 +37,7 @@ def _columns_between(j, width, cols):
 
 
 @inlined(fastmath=True)
-def _interpolate_row(values, row, j, height):
+def _interpolate_down_columns(values, row, j, height):
     """Values of a coarse map in a row of the frame, at coarse columns ``j`` and ``j + 1``; columns wrap."""
     rows, cols = values.shape
     i, down = coarse_position(row, height, rows)
@@ -63,7 +63,7 @@ def hypothesis_rows(hypothesis, weight, top, height, points):
         i = (top + k) * rows // height
         for j in range(-1, weight.shape[1]):
             begin, end = _columns_between(j, width, weight.shape[1])
-            left, right = _interpolate_row(weight, top + k, j, height)
+            left, right = _interpolate_down_columns(weight, top + k, j, height)
             if max(left, right) > zero:
                 is_any = True
                 for col in range(begin, end):
@@ -88,7 +88,7 @@ def accumulate_candidate(weight, colour, top, height, total):
     step = np.float32(cols / width)
     for k in range(len(total)):
         for j in range(-1, cols):
-            left, right = _interpolate_row(weight, top + k, j, height)
+            left, right = _interpolate_down_columns(weight, top + k, j, height)
             if max(left, right) <= np.float32(0.0):
                 continue
             begin, end = _columns_between(j, width, cols)
@@ -114,7 +114,7 @@ def mix_rows(total, quantization, picture):
 
 
 @inlined(fastmath=True)
-def _mean_difference(one, other):
+def _mean_absolute_difference(one, other):
     """Mean absolute difference of two colours."""
     return (abs(one[0] - other[0]) + abs(one[1] - other[1]) + abs(one[2] - other[2])) * np.float32(1.0 / 3.0)
 
@@ -135,7 +135,7 @@ def _add_cross_view(k, colour, points, arrays, row, col, values):
     other = arrays.colours[k, row, col]
     for channel in range(3):
         values[channel] += other[channel]
-    values[3] += _mean_difference(other, colour[row, col])
+    values[3] += _mean_absolute_difference(other, colour[row, col])
     values[4] += max(occlusion, zero)
     values[5] += max(-occlusion, zero)
     return 1
@@ -151,7 +151,7 @@ def _add_candidates(arrays, row, col, share, values):
     for k in range(2):
         first, second = arrays.colours[2 + 2 * k, row, col], arrays.colours[3 + 2 * k, row, col]
         values[12 + k] += share * arrays.sqrt_depths[k, row, col]
-        values[18 + k] += share * _mean_difference(first, second)
+        values[18 + k] += share * _mean_absolute_difference(first, second)
 
 
 @fast_kernel()

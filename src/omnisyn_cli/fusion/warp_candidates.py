@@ -50,7 +50,7 @@ CANDIDATE_CHANNELS = 32
 CANDIDATE_SCALE = 2
 """Candidates are sampled at so many times the height of the network's input, and averaged. Set by hand."""
 
-HYPOTHESIS_RADIUS = 4
+HYPOTHESIS_WINDOW_RADIUS = 4
 """Pixels, at the size of the candidates, within which the nearest and the farthest surface are taken. Set by hand."""
 
 MIN_SCALED_INVERSE_DEPTH = 1e-3
@@ -161,9 +161,9 @@ def make_warp_candidates(
 def depth_hypotheses(first: LayerArrays, second: LayerArrays) -> Float32[np.ndarray, "2 rows cols"]:
     """Inverse depth of the farthest and of the nearest surface that is seen around every pixel; 0 where none is."""
     seen = [_layer_points(layer) for layer in (first, second)]
-    nearest = dilate(np.maximum(*seen), HYPOTHESIS_RADIUS)
+    nearest = dilate(np.maximum(*seen), HYPOTHESIS_WINDOW_RADIUS)
     visible = [np.where(rho < 0.0, NOT_SEEN_INVERSE_DEPTH, rho) for rho in seen]
-    farthest = -dilate(-np.minimum(*visible), HYPOTHESIS_RADIUS)
+    farthest = -dilate(-np.minimum(*visible), HYPOTHESIS_WINDOW_RADIUS)
     nearest = np.maximum(nearest, np.float32(0.0))
     return np.stack([np.minimum(farthest, nearest), nearest])
 

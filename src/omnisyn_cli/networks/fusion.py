@@ -24,7 +24,7 @@ from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 __all__ = ["FUSION_VARIANTS", "DirectFusionUNet", "FusionConfig", "ResidualFusionUNet", "build_fusion"]
 
-SEEN_CHANNELS, RELEVANCE_CHANNEL, HYPOTHESIS_CHANNELS = slice(15, 17), 17, slice(44, 46)
+SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 46)
 """Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 of the depth hypotheses."""
 
@@ -96,9 +96,9 @@ def ambiguity_mask(channels: Float[Tensor, "batch channels height width"]) -> Fl
     Holes count as 1. Where one layer alone shows anything, or it matters which is shown, it depends on how different
     the depth hypotheses are.
     """
-    farthest, nearest = at_least_single(channels[:, HYPOTHESIS_CHANNELS]).square().chunk(2, dim=1)
+    farthest, nearest = at_least_single(channels[:, HYPOTHESIS_SLICE]).square().chunk(2, dim=1)
     apart = (nearest - farthest) / (MIN_SURFACE_DIFFERENCE * nearest.clamp(min=MIN_INVERSE_DEPTH))
-    first, second = at_least_single(channels[:, SEEN_CHANNELS]).chunk(2, dim=1)
+    first, second = at_least_single(channels[:, SEEN_SLICE]).chunk(2, dim=1)
     matters = torch.maximum(channels[:, RELEVANCE_CHANNEL : RELEVANCE_CHANNEL + 1], 1.0 - first * second)
     return torch.maximum((1.0 - torch.exp(-apart.square())) * matters, (1.0 - first) * (1.0 - second))
 

@@ -34,7 +34,7 @@ RGB_CHANNELS = 3
 INITIAL_SQRT_INV_DEPTH = 0.4
 """√(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large."""
 
-MIN_OPACITY = 0.05
+MIN_DIVISOR_OPACITY = 0.05
 """Floor of the opacity that colours of points are divided by: pixels without points stay dark."""
 
 
@@ -160,7 +160,7 @@ class RefinementDecoder(SynSinPart):
         seen = torch.cat([points, row_channel(points)], dim=1)
         coarse = functional.pixel_shuffle(self.expand(self.body.encode(functional.pixel_unshuffle(seen, 2))), 2)
         correction = self.head(functional.leaky_relu(coarse + self.skip(seen), LEAK))
-        colours: Tensor = points[:, :RGB_CHANNELS] / points[:, -1:].clamp(min=MIN_OPACITY) + correction
+        colours: Tensor = points[:, :RGB_CHANNELS] / points[:, -1:].clamp(min=MIN_DIVISOR_OPACITY) + correction
         return colours
 
 

@@ -22,10 +22,10 @@ from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 __all__ = ["fill_with_planes"]
 
-PLANE_FIT_RADII = (0.8, 0.2, 0.05)
+PLANE_FIT_RADII_RAD = (0.8, 0.2, 0.05)
 """Radians over which planes are fitted, widest first; each result is the fallback of the next. Chosen by eye."""
 
-FIRST_GUESS_RADIUS = 0.1
+FIRST_GUESS_RADIUS_RAD = 0.1
 """Radians around a pixel that the first guess is taken from, across edges too; chosen by eye."""
 
 BACKGROUND_QUANTILE = 0.2
@@ -43,7 +43,7 @@ FALLBACK_WEIGHT = 1e-3
 TILT_RIDGE = 0.1
 """Ridge against tilts that the data do not ask for, relative to what data spread over the radius would weigh."""
 
-ROBUST_SCALE_OF_ESTIMATE, ROBUST_SCALE_OF_MAXIMUM = 0.1, 0.02
+ROBUST_SCALE_ESTIMATE_SHARE, ROBUST_SCALE_MAXIMUM_SHARE = 0.1, 0.02
 """Scale of the robust weights: 10 % of the estimate and 2 % of the greatest inverse depth; chosen by eye."""
 
 BILATERAL_WINDOW, BILATERAL_COLOUR_SIGMA, BILATERAL_SPACE_SIGMA = 7, 0.15, 3.0
@@ -77,10 +77,10 @@ def fill_with_planes(
     values = np.clip(inverse_depth, low, high)
     directions, edges = pixel_directions(*values.shape), _colour_edges(guide, usable)
     estimate = _first_guess(values, valid, directions)
-    for radius in PLANE_FIT_RADII:
-        residual = (values - estimate) / (ROBUST_SCALE_OF_ESTIMATE * estimate + ROBUST_SCALE_OF_MAXIMUM * high)
+    for radius_rad in PLANE_FIT_RADII_RAD:
+        residual = (values - estimate) / (ROBUST_SCALE_ESTIMATE_SHARE * estimate + ROBUST_SCALE_MAXIMUM_SHARE * high)
         robust_weight = np.where(valid, 1.0, 1.0 / (1.0 + residual**2))  # hints far from the estimate hardly count
-        fitted = _fit_around_pixels(values, weight * robust_weight, estimate, directions, edges, radius)
+        fitted = _fit_around_pixels(values, weight * robust_weight, estimate, directions, edges, radius_rad)
         estimate = np.clip(fitted, low, high)
     return np.where(valid, values, estimate).astype(np.float32)
 
@@ -89,7 +89,9 @@ def _first_guess(values: np.ndarray, valid: np.ndarray, directions: np.ndarray) 
     """Planes fitted across edges, so that a region without any valid depth inside is not left to chance."""
     no_edges = (np.zeros(values.shape), np.zeros(values.shape))
     background = np.full(values.shape, np.quantile(values[valid], BACKGROUND_QUANTILE))
-    guess = _fit_around_pixels(values, valid.astype(np.float64), background, directions, no_edges, FIRST_GUESS_RADIUS)
+    guess = _fit_around_pixels(
+        values, valid.astype(np.float64), background, directions, no_edges, FIRST_GUESS_RADIUS_RAD
+    )
     return np.asarray(np.clip(guess, values[valid].min(), values[valid].max()))
 
 
@@ -113,23 +115,23 @@ def _fit_around_pixels(
     fallback: np.ndarray,
     directions: np.ndarray,
     edges: tuple[np.ndarray, np.ndarray],
-    radius: float,
+    radius_rad: float,
 ) -> np.ndarray:
     """Value at each pixel of the plane fitted around it."""
     values, weight, fallback = (np.asarray(image, np.float64) for image in (values, weight, fallback))
-    sums = _edge_aware_mean(normal_equations(values, weight, directions), edges, radius)
-    return np.asarray(fitted_values(sums, fallback, directions, FALLBACK_WEIGHT, TILT_RIDGE * radius**2))
+    sums = _edge_aware_mean(normal_equations(values, weight, directions), edges, radius_rad)
+    return np.asarray(fitted_values(sums, fallback, directions, FALLBACK_WEIGHT, TILT_RIDGE * radius_rad**2))
 
 
-def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], radius: float) -> np.ndarray:
-    """Domain transform filter of every channel over about ``radius`` radians, in place.
+def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], radius_rad: float) -> np.ndarray:
+    """Domain transform filter of every channel over about ``radius_rad`` radians, in place.
 
     Distances are those on the sphere: pixels of a row come closer towards the poles.
     """
     height, width = channels.shape[:2]
     sine = direction_tables(height, width)[0]
-    distance_across = sine[:, None] * (2.0 * math.pi / width) / radius + COLOUR_EDGE_STRENGTH * edges[0]
-    distance_down = math.pi / height / radius + COLOUR_EDGE_STRENGTH * edges[1]
+    distance_across = sine[:, None] * (2.0 * math.pi / width) / radius_rad + COLOUR_EDGE_STRENGTH * edges[0]
+    distance_down = math.pi / height / radius_rad + COLOUR_EDGE_STRENGTH * edges[1]
     for k in range(FILTER_ITERATIONS):
         # Equation 14 of the source: standard deviations halve from pass to pass, and their squares sum to 1.
         sigma = math.sqrt(3.0) * 2.0 ** (FILTER_ITERATIONS - k - 1) / math.sqrt(4.0**FILTER_ITERATIONS - 1.0)

@@ -50,12 +50,12 @@ def fill_holes(image: Float32[Tensor, "height width 3"], weight: Float32[Tensor,
     """
     levels = [(image, weight)]
     while max(levels[-1][1].shape) > 1:
-        levels.append(_pulled(*levels[-1]))
+        levels.append(_pull_level(*levels[-1]))
     for finer, coarser in zip(levels[-2::-1], levels[:0:-1], strict=True):
         _push(*coarser, *finer)
 
 
-def _pulled(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+def _pull_level(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Weighted means over 2×2 pixels; an odd last row or column stands alone."""
     rows, cols = -(-weight.shape[0] // 2), -(-weight.shape[1] // 2)
     even = weight.new_zeros((2 * rows, 2 * cols, 4))
