@@ -46,7 +46,7 @@ def test_a_video_between_frames_of_a_video(video: Path, tmp_path: Path, omnisyn:
                           "--size", "64x32", "--preset", "fast", "--threads", 2)  # fmt: skip
     assert "16:9, taken for squeezed frames of a 360° video" in result.err
     assert list(listing(tmp_path)) == ["out.mp4"]
-    assert not [name for name in set(listing(Path(tempfile.gettempdir()))) - set(before) if "omnisyn-" in name]
+    assert not [name for name in set(listing(Path(tempfile.gettempdir()))) - set(before) if "omnisyn-frames-" in name]
 
 
 def test_videos_and_the_option_go_together(video: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:

@@ -103,4 +103,4 @@ def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
 def test_the_help_describes_every_preset() -> None:
     words = " ".join(CliRunner().invoke(interpolate, ["--help"]).output.split())
     for name, preset in PRESETS.items():
-        assert f"{name}: {preset.summary}" in words
+        assert f"{name} {preset.summary}" in words

@@ -22,7 +22,7 @@ def frames_of_video(path: Path, seconds: float) -> Iterator[tuple[Path, ...]]:
     Colours are taken for BT.709, as cameras for 360° write them. InputError: no video, or fewer than two frames.
     """
     check_is_file(path)
-    with tempfile.TemporaryDirectory(prefix="omnisyn-") as folder:
+    with tempfile.TemporaryDirectory(prefix="omnisyn-frames-") as folder:
         choice = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t,{seconds:.6f}-0.5/30)'"
         command = [
             ffmpeg_program(), "-hide_banner", "-loglevel", "error", "-nostdin", "-protocol_whitelist", "file",
