@@ -34,7 +34,7 @@ from omnisyn_cli.stereo.plane_fitting import (
 )
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
-__all__ = ["SweepDirection", "sweep_planes"]
+__all__ = ["EXPLAINED_COST", "sweep_planes"]
 
 T = TypeVar("T")
 

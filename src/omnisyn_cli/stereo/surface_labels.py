@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Float32
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
 from omnisyn_cli.stereo.plane_fitting import planes_from_second
+from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, resize_area
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
@@ -31,9 +32,6 @@ FULL_PLANE_SUPPORT_DENSITY = 0.05
 
 DENSITY_ROWS = 64
 """Rows of the masks that are blurred: 2.8° each, where the blur spreads over 7.5°."""
-
-EXPLAINED_COST = 0.2
-"""A textured pixel whose plane has a lower cost speaks for the plane. Unrelated windows have a cost of about 1."""
 
 FULL_EXPLAINED_SHARE = 0.1
 """Share of the texture around a pixel from which on a plane that explains it is fully supported. Windows that do not
