@@ -46,6 +46,7 @@ FILE_MODULES = (
     "omnisyn_cli.poses.file",
     "omnisyn_cli.poses.formats",
     "omnisyn_cli.poses.entries",
+    "omnisyn_cli.poses.tour_file",
     "omnisyn_cli.runtime.models",
     "omnisyn_cli.training",
     "omnisyn_cli.evaluation",

@@ -27,6 +27,9 @@ POSITION_TOLERANCE = 1e-6
 MAX_COORDINATE = 1e8
 """Metres, more than twice around the earth; coordinates beyond are a mistake in units."""
 
+MAX_TEXT_CHARS = 2000
+"""Of a title, a caption or the text of a hotspot."""
+
 Metres = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
@@ -71,6 +74,18 @@ def _first_version(version: Any) -> int:
     return version
 
 
+def _readable(text: str) -> str:
+    if re.search(r"[\0-\x09\x0b-\x1f\x7f\ud800-\udfff]", text):
+        raise ValueError("text without control characters")
+    return text
+
+
+def _two_names(names: list[str]) -> list[str]:
+    if len(names) != 2 or names[0] == names[1]:
+        raise ValueError("the names of two different panoramas")
+    return names
+
+
 File = Annotated[str, AfterValidator(_inside_folder)]
 
 Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
@@ -78,18 +93,28 @@ Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
 Quaternion = Annotated[list[float], AfterValidator(_quaternion)]
 
 
-class _Model(BaseModel):
+Text = Annotated[str, Field(max_length=MAX_TEXT_CHARS), AfterValidator(_readable)]
+
+FirstVersion = Annotated[Any, AfterValidator(_first_version)]
+
+LinkEntry = Annotated[list[str], AfterValidator(_two_names)]
+
+
+class Model(BaseModel):
+    """Part of a file that users write: unknown keys are errors, and numbers are finite."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
-class PoseDocument(_Model):
+class PoseDocument(Model):
     """The whole file; entries are checked one by one, by the kind their keys announce."""
 
-    version: Annotated[Any, AfterValidator(_first_version)]
+    version: FirstVersion
     panoramas: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
+    links: list[LinkEntry] | None = None
 
 
-class RigidEntry(_Model):
+class RigidEntry(Model):
     """A pose in metres."""
 
     position: Vector | None = None
@@ -97,9 +122,11 @@ class RigidEntry(_Model):
     matrix: Matrix | None = None
     depth: File | None = None
     mask: File | None = None
+    title: Text = ""
+    caption: Text = ""
 
 
-class GeographicEntry(_Model):
+class GeographicEntry(Model):
     """A place on earth; degrees, metres, and the compass heading of the image centre."""
 
     latitude: Annotated[float, Field(ge=-90, le=90)]
@@ -110,13 +137,15 @@ class GeographicEntry(_Model):
     roll: Annotated[float, Field(ge=-180, le=180)] = 0.0
     depth: File | None = None
     mask: File | None = None
+    title: Text = ""
+    caption: Text = ""
 
 
-FILE_KEYS = frozenset({"depth", "mask"})
+COMMON_KEYS = frozenset({"depth", "mask", "title", "caption"})
 
-RIGID_KEYS = frozenset(RigidEntry.model_fields) - FILE_KEYS
+RIGID_KEYS = frozenset(RigidEntry.model_fields) - COMMON_KEYS
 
-GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - FILE_KEYS
+GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - COMMON_KEYS
 
 
 def pose_from_entry(entry: RigidEntry | GeographicEntry, where: str, origin: tuple[float, float, float] | None) -> Pose:

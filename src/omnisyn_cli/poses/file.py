@@ -2,7 +2,8 @@
 
 Version 1. Per panorama ``position`` with ``rotation`` ``[w, x, y, z]`` or ``matrix`` (3×3, or 4×4 that holds the
 position too; camera-to-world), or ``latitude, longitude, altitude, heading`` with ``pitch, roll``; optionally ``depth``
-and ``mask``, file names relative to the pose file.
+and ``mask``, file names relative to the pose file, and ``title`` and ``caption``. ``links`` of the file are pairs of
+names that a tour leads between, see :mod:`omnisyn_cli.poses.tour_file`.
 """
 
 import difflib
@@ -63,11 +64,14 @@ class PosedPanorama:
         pose: camera-to-world, metres.
         depth: its depth file, or None.
         mask: its mask file, or None.
+        title, caption: what a tour calls it and says of it; empty where the file says nothing.
     """
 
     pose: Pose
     depth: Path | None = None
     mask: Path | None = None
+    title: str = ""
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,10 +81,12 @@ class PoseFile:
     Attributes:
         path: the file.
         panoramas: entries by image file name, or by path where that tells images apart, in the order of the file.
+        links: names of panoramas that a tour leads between; None where the file does not say.
     """
 
     path: Path
     panoramas: Mapping[str, PosedPanorama]
+    links: tuple[tuple[str, str], ...] | None = None
 
     def of(self, image_path: Path | str) -> PosedPanorama:
         """The entry of an image; PoseError: there is none; it names those there are."""
@@ -163,7 +169,10 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     return _pose_file(source, read_json(source, "a pose file", MAX_FILE_BYTES), allow_outside)
 
 
-def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:
+def write_poses(
+    path: Path | str, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False,
+    links: Sequence[tuple[str, str]] | None = None,
+) -> None:  # fmt: skip
     """Write a pose file, rotations as quaternions; an existing file is replaced.
 
     Depth and mask files lie in the folder of ``path``, or anywhere with ``allow_outside``; such a file can only be read
@@ -177,9 +186,11 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
     target = Path(path)
     check_output(target, overwrite=True)
     entries = {name: _entry_values(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
-    _pose_file(target, {"version": VERSION, "panoramas": entries}, allow_outside)  # it can be read back
+    pairs = {} if links is None else {"links": [list(link) for link in links]}
+    _pose_file(target, {"version": VERSION, "panoramas": entries, **pairs}, allow_outside)  # it can be read back
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
-    write_parts(target, [f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n'.encode()])
+    end = "".join(f',\n"{key}": {_json(value)}' for key, value in pairs.items())
+    write_parts(target, [f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}{end}}}\n'.encode()])
 
 
 def check_companions_named(path: Path, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:
@@ -201,8 +212,16 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     for name, entry in entries.items():
         pose = pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
         files = {key: _companion(path, name, key, getattr(entry, key), allow_outside) for key in ("depth", "mask")}
-        panoramas[name] = PosedPanorama(pose, **files)
-    return PoseFile(path, panoramas)
+        panoramas[name] = PosedPanorama(pose, **files, title=entry.title, caption=entry.caption)
+    return PoseFile(path, panoramas, _links(path, document, panoramas))
+
+
+def _links(path: Path, document: PoseDocument, known: Iterable[str]) -> tuple[tuple[str, str], ...] | None:
+    if document.links is None:
+        return None
+    if missing := [name for link in document.links for name in link if name not in known]:
+        raise PoseError(f"{path}: links: expected names of panoramas, got {listed(missing)}; they have no entry")
+    return tuple((first, second) for first, second in document.links)
 
 
 def _companion(path: Path, name: str, key: str, file: str | None, allow_outside: bool) -> Path | None:
@@ -249,7 +268,8 @@ def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEn
 def _entry_values(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
     rotation = quaternion_from_rotation(rigid_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
     pose = {"position": panorama.pose.position.tolist(), "rotation": rotation.tolist()}
-    return {**pose, **_companion_names(path, name, panorama, allow_outside)}
+    words = {key: text for key, text in (("title", panorama.title), ("caption", panorama.caption)) if text}
+    return {**pose, **_companion_names(path, name, panorama, allow_outside), **words}
 
 
 def _companion_names(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:

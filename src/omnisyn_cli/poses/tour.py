@@ -1,0 +1,203 @@
+"""A tour: panoramas that link to each other, with names, hotspots, a start view and a floor plan.
+
+:mod:`omnisyn_cli.poses.tour_file` reads what a user writes of it. Links that nobody wrote follow from the positions.
+"""
+
+import heapq
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import normalize
+
+__all__ = ["FloorPlan", "Hotspot", "StartView", "Tour", "TourPanorama", "chain_links", "links_between"]
+
+Link = tuple[str, str]
+"""Names of two panoramas that one walks between, in either direction."""
+
+NEIGHBOUR_TOLERANCE = 1e-6
+"""Relative difference below which two distances are equal, so that a square grid has no links across."""
+
+
+@dataclass(frozen=True)
+class Hotspot:
+    """A mark in the tour; it has either a direction or a point.
+
+    Attributes:
+        text: what it says.
+        link: an ``http:`` or ``https:`` address that it leads to, or None.
+        image: a picture that it shows, or None.
+        direction: unit vector in the frame of its panorama, or None.
+        point: place in the world in metres, or None.
+    """
+
+    text: str
+    link: str | None = None
+    image: Path | None = None
+    direction: Float[np.ndarray, " 3"] | None = None
+    point: Float[np.ndarray, " 3"] | None = None
+
+    def direction_from(self, pose: Pose) -> Float[np.ndarray, " 3"]:
+        """Unit vector towards it in the frame of a panorama: of its own one if it has a direction."""
+        if self.direction is not None:
+            return self.direction
+        return np.asarray(normalize(pose.inverse().transform(np.asarray(self.point))))
+
+
+@dataclass(frozen=True)
+class TourPanorama:
+    """A panorama of a tour.
+
+    Attributes:
+        name: in the pose file.
+        image: its file.
+        pose: camera-to-world, metres.
+        title: its title; the name of its file without the ending unless the user gave one.
+        caption: a sentence about it, or empty.
+        hotspots: marks that belong to it.
+    """
+
+    name: str
+    image: Path
+    pose: Pose
+    title: str
+    caption: str = ""
+    hotspots: tuple[Hotspot, ...] = ()
+
+
+@dataclass(frozen=True)
+class StartView:
+    """Where a tour begins.
+
+    Attributes:
+        panorama: its name.
+        yaw: radians to the right of the centre of its picture; None looks along the first link.
+        pitch: radians above the centre of its picture.
+        fov: radians that are seen from top to bottom; None leaves it to the viewer.
+    """
+
+    panorama: str
+    yaw: float | None = None
+    pitch: float = 0.0
+    fov: float | None = None
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """A picture of the floor from above, with two control points.
+
+    Attributes:
+        image: its file.
+        pixels: (column, row) of both points, from the upper left corner.
+        positions: (x, z) of both points in the world, metres.
+    """
+
+    image: Path
+    pixels: tuple[tuple[float, float], tuple[float, float]]
+    positions: tuple[tuple[float, float], tuple[float, float]]
+
+    def pixel_of(self, position: Float[np.ndarray, " 3"]) -> tuple[float, float]:
+        """(column, row) of a place in the world: the similarity that both control points define, without a mirror."""
+        turn = self.pixels_per_metre
+        moved = turn * (complex(position[0], position[2]) - complex(*self.positions[0])) + complex(*self.pixels[0])
+        return moved.real, moved.imag
+
+    @property
+    def pixels_per_metre(self) -> complex:
+        """Scale and turn of the picture: rows grow downwards as z grows southwards."""
+        (first, second), (here, there) = ([complex(*at) for at in both] for both in (self.pixels, self.positions))
+        return (second - first) / (there - here)
+
+
+@dataclass(frozen=True)
+class Tour:
+    """Panoramas and what connects them.
+
+    Attributes:
+        title: of the whole tour.
+        panoramas: in the order of the job.
+        links: pairs of names, each once.
+        start: where it begins.
+        hotspots: marks with points that every panorama shows.
+        plan: floor plan, or None.
+    """
+
+    title: str
+    panoramas: tuple[TourPanorama, ...]
+    links: tuple[Link, ...]
+    start: StartView
+    hotspots: tuple[Hotspot, ...] = ()
+    plan: FloorPlan | None = None
+
+    @cached_property
+    def by_name(self) -> Mapping[str, TourPanorama]:
+        """The panoramas by their names."""
+        return {panorama.name: panorama for panorama in self.panoramas}
+
+    @cached_property
+    def neighbours(self) -> Mapping[str, tuple[str, ...]]:
+        """The panoramas that each one links to, in the order of the links."""
+        found: dict[str, list[str]] = {panorama.name: [] for panorama in self.panoramas}
+        for first, second in self.links:
+            found[first].append(second)
+            found[second].append(first)
+        return {name: tuple(others) for name, others in found.items()}
+
+    def shortest_path(self, first: str, last: str) -> tuple[str, ...]:
+        """Names along the shortest way over links, in metres, both ends included; PoseError: no links lead there."""
+        queue: list[tuple[float, tuple[str, ...]]] = [(0.0, (first,))]
+        done: set[str] = set()
+        while queue:
+            metres, path = heapq.heappop(queue)
+            here = path[-1]
+            if here == last:
+                return path
+            if here in done:
+                continue
+            done.add(here)
+            for name in self.neighbours[here]:
+                if name not in done:
+                    step = math.dist(self.by_name[here].pose.position, self.by_name[name].pose.position)
+                    heapq.heappush(queue, (metres + step, (*path, name)))
+        raise PoseError(f"expected links that lead from '{first}' to '{last}', got none; add one to \"links\"")
+
+    def path_through(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Names along the shortest way through the given ones in their order."""
+        parts = [self.shortest_path(*ends) for ends in pairwise(names)]
+        return (*names[:1], *(name for part in parts for name in part[1:]))
+
+
+def chain_links(names: Iterable[str]) -> tuple[Link, ...]:
+    """Links from each to the next; none from a panorama to itself, and each link once."""
+    found: dict[frozenset[str], Link] = {}
+    for pair in pairwise(names):
+        if pair[0] != pair[1]:
+            found.setdefault(frozenset(pair), pair)
+    return tuple(found.values())
+
+
+def links_between(names: Sequence[str], positions: Float[np.ndarray, "n 3"]) -> tuple[Link, ...]:
+    """Links that follow from positions: the relative neighbourhood graph.
+
+    Two panoramas are linked unless a third one is nearer to both than they are to each other. So corridors become
+    chains and crossings stay crossings. The graph holds the shortest tree that connects all.
+
+    Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
+    """
+    distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    links = []
+    for here in range(len(names)):
+        via = np.maximum(distance[here][:, None], distance)  # third × other
+        via[here] = np.inf
+        np.fill_diagonal(via, np.inf)
+        is_blocked = via.min(axis=0) < distance[here] * (1.0 - NEIGHBOUR_TOLERANCE)
+        links += [(names[here], names[other]) for other in range(here + 1, len(names)) if not is_blocked[other]]
+    return tuple(links)
