@@ -36,7 +36,7 @@ IMPORT_FORMATS = (
 )  # fmt: skip
 """``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them."""
 
-EXPORT_FORMATS = ("colmap", "nerfstudio", "tum")
+EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
 
 CAMERA_AXES = ("opengl", "opencv", "flu")
 
@@ -153,7 +153,7 @@ def import_(
 
 @poses.command()
 @click.argument("poses", metavar="POSES", type=FilePath())
-@click.option("-o", "--output", required=True, type=FilePath(), help="File to write; for colmap a folder.")
+@click.option("-o", "--output", required=True, type=FilePath(), help="File to write; for colmap and gpano a folder.")
 @click.option("--format", "format_name", type=click.Choice(EXPORT_FORMATS), required=True)
 @click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: that of POSES]")
 @click.option("--size", type=Size(), help="Size of all panoramas.  [default: read from their files]")
@@ -169,6 +169,7 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
     colmap      cameras.txt, images.txt, points3D.txt in a folder; EQUIRECTANGULAR cameras
     nerfstudio  transforms.json; EQUIRECTANGULAR cameras, z up
     tum         a trajectory in OpenCV axes; names in comments
+    gpano       copies of the JPEGs, with heading, pitch and roll as GPano tags
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io.outputs import check_kept
     from omnisyn_cli.poses.file import read_poses

@@ -18,6 +18,7 @@ __all__ = [
     "Pose",
     "at_same_position",
     "enu_from_geographic",
+    "heading_from_rotation",
     "interpolate_pose",
     "nearest_rotation",
     "quaternion_from_rotation",
@@ -169,6 +170,19 @@ def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0)
     about_right = turn(np.array([pitch, 0.0, 0.0]))
     about_forward = turn(np.array([0.0, 0.0, -roll]))
     return np.asarray(about_up @ about_right @ about_forward)
+
+
+def heading_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
+    """Heading, pitch and roll (radians) that :func:`rotation_from_heading` makes a world-from-camera rotation of.
+
+    Heading is in [0, 2π). Straight up and down it is what rounding makes of it, and the roll fits it.
+    """
+    forward = -rotation[:, 2]
+    heading = math.atan2(forward[0], -forward[2])
+    pitch = math.asin(min(max(float(forward[1]), -1.0), 1.0))
+    about_forward = rotation_from_heading(heading, pitch).T @ rotation
+    roll = math.atan2(about_forward[0, 1], about_forward[0, 0])
+    return heading % math.tau, pitch, roll
 
 
 def enu_from_geographic(

@@ -1,40 +1,48 @@
 """Imported poses written as ``poses.json``, and our poses written for other programs."""
 
+import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path, PurePosixPath
 
 from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import Pose, heading_from_rotation
 from omnisyn_cli.io import outputs
 from omnisyn_cli.io.decode import read_header
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.placement import placement_of
+from omnisyn_cli.io.jpeg_metadata import with_properties
+from omnisyn_cli.io.placement import Placement, placement_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, write_poses
 from omnisyn_cli.poses.formats.colmap import colmap_files
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, noted
 from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text
 from omnisyn_cli.poses.formats.trajectories import tum_text
 
-EXPORT_FORMATS = ("colmap", "nerfstudio", "tum")
+EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
+
+GPANO = ("GPano", "http://ns.google.com/photos/1.0/panorama/")
+"""Prefix and address of Google's tags. Source: Google, "Photo Sphere XMP Metadata"."""
 
 
 def export_poses(
     poses: PoseFile, output: Path, format_name: str,
     *, images: Path | None = None, size: tuple[int, int] | None = None, overwrite: bool = False,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Write poses as a COLMAP text model (a folder), a ``transforms.json`` or a TUM trajectory.
+    """Write poses as a COLMAP text model (a folder), a ``transforms.json``, a TUM trajectory, or tags of JPEG copies.
 
     The panoramas lie in the folder ``images`` (None: that of the pose file). All have ``size`` (height, width; None
     reads it from their files). Files that exist are replaced with ``overwrite``. Notes for the user come back.
 
     Raises:
-        PoseError: a panorama whose size is needed was not found, or a name that the format cannot hold.
+        PoseError: a panorama that is needed was not found or is no JPEG, or a name that the format cannot hold.
         ImageError: a panorama that is no image.
         OutputPathError: a file exists, or there is no folder to write into.
         WriteError: the disk is full, or the folder went away.
     """
     if format_name not in EXPORT_FORMATS:
         raise ValueError(f"expected one of {', '.join(EXPORT_FORMATS)}, got {format_name!r}")
+    if format_name == "gpano":
+        return _write_tagged(poses, output, images or poses.path.parent, overwrite)
     if format_name == "colmap":
         outputs.check_staged_folder(output)
     else:
@@ -55,6 +63,48 @@ def export_poses(
         for name, text in colmap_files(chosen, sizes).items():
             (staged / name).write_text(text, encoding="utf-8")
     return ("world: y down; cameras are EQUIRECTANGULAR, which older versions of COLMAP do not know; no points",)
+
+
+def _write_tagged(poses: PoseFile, output: Path, folder: Path, overwrite: bool) -> tuple[str, ...]:
+    """Copies of the panoramas, with the tags in which other programs look for headings."""
+    outputs.check_staged_folder(output)
+    files = {name: folder / name for name in poses.panoramas}
+    for name, file in files.items():
+        if file.suffix.lower() not in (".jpg", ".jpeg") or not file.is_file():
+            found = "none" if file.suffix.lower() in (".jpg", ".jpeg") else "another format"
+            raise PoseError(
+                f"{poses.path}: expected the panorama '{name}' as a JPEG in '{folder}', got {found}; name the folder "
+                "(--images), or convert it"
+            )
+        outputs.check_kept([output / name], [file])
+        if output.is_dir():
+            outputs.check_output(output / name, overwrite)
+    with outputs.staged_folder(output, overwrite=overwrite) as staged:
+        for name, file in files.items():
+            header = read_header(file)
+            known = {tag.removeprefix("GPano:") for tag in header.attributes if tag.startswith("GPano:")}
+            tags = _gpano_tags(poses.panoramas[name].pose, placement_of(header), known)
+            target = staged / name
+            outputs.make_folder(target.parent, "the panoramas")
+            outputs.write_parts(target, [with_properties(file, file.read_bytes(), GPANO, tags)])
+    return ("headings: clockwise from −z of the poses, which is north in a georeferenced world",)
+
+
+def _gpano_tags(pose: Pose, placement: Placement, known: Set[str]) -> dict[str, str]:
+    """Heading, pitch and roll of a panorama, and where it lies on the sphere unless its tags say that already."""
+    heading, pitch, roll = (math.degrees(angle) for angle in heading_from_rotation(pose.rotation))
+    turn = {"PoseHeadingDegrees": heading, "PosePitchDegrees": pitch, "PoseRollDegrees": roll}
+    area = {
+        "FullPanoWidthPixels": placement.full_width, "FullPanoHeightPixels": placement.full_height,
+        "CroppedAreaImageWidthPixels": placement.width, "CroppedAreaImageHeightPixels": placement.height,
+        "CroppedAreaLeftPixels": placement.left, "CroppedAreaTopPixels": placement.top,
+    }  # fmt: skip
+    is_told = not known.isdisjoint(area)
+    return {
+        "UsePanoramaViewer": "True", "ProjectionType": "equirectangular",
+        **{name: f"{degrees:.6f}" for name, degrees in turn.items()},
+        **{name: str(pixels) for name, pixels in area.items() if not is_told},
+    }  # fmt: skip
 
 
 def _size(path: Path, name: str, folder: Path, file: Path | None) -> tuple[int, int]:

@@ -1,0 +1,130 @@
+"""The XMP packet of a JPEG, read and replaced without decoding the picture.
+
+Source: ITU T.81, annex B (segments); Adobe, "XMP Specification Part 3", section 1.1.3 (APP1) and part 1 (packets).
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from xml.dom.minidom import Element, parseString
+from xml.parsers.expat import ExpatError
+
+from omnisyn_cli.errors import ImageError
+
+__all__ = ["with_properties"]
+
+XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"
+"""With which the segment of the packet begins."""
+
+EXIF_HEADER = b"Exif\0\0"
+
+RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+
+XMLNS = "http://www.w3.org/2000/xmlns/"
+
+NEW_PACKET = (
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="' + RDF.encode() + b'">'
+    b'<rdf:Description rdf:about=""/></rdf:RDF></x:xmpmeta>'
+)
+
+PACKET_BEGIN = b'<?xpacket begin="\xef\xbb\xbf" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
+
+PACKET_END = b'<?xpacket end="w"?>'
+
+START_OF_IMAGE, APP0, APP1, START_OF_SCAN = 0xD8, 0xE0, 0xE1, 0xDA
+
+MAX_SEGMENT_BYTES = 65533
+"""Of the content of a segment: its length is a number of 16 bits and counts itself."""
+
+
+def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
+    """A JPEG with some XMP properties; everything else of it stays as it is, to the byte.
+
+    Other properties of its packet stay too. A new packet takes the place of the old one, and its length if it fits.
+
+    Args:
+        path: of the file, for errors.
+        data: its bytes.
+        namespace: prefix and address of the properties.
+        values: texts by the names of the properties.
+
+    Raises ImageError: no JPEG, a damaged packet, or one that grows too large.
+    """
+    exif, packets = 2, []
+    for marker, begin, end in _segments(path, data):
+        content = data[begin + 4 : end]
+        if marker == APP0 or (marker == APP1 and content.startswith(EXIF_HEADER)):
+            exif = end
+        if marker == APP1 and content.startswith(XMP_HEADER):
+            packets.append((begin, end))
+    first = packets[0] if packets else (exif, exif)
+    old = data[first[0] + 4 + len(XMP_HEADER) : first[1]]
+    packet = _packet(_edited(path, old, namespace, values), len(old))
+    content = XMP_HEADER + packet
+    if len(content) > MAX_SEGMENT_BYTES:
+        raise ImageError(
+            f"{path}: expected XMP of at most {MAX_SEGMENT_BYTES:,} bytes, got {len(content):,}; remove other tags"
+        )
+    segment = bytes([0xFF, APP1]) + (len(content) + 2).to_bytes(2, "big") + content
+    return data[: first[0]] + segment + data[first[1] :]
+
+
+def _segments(path: Path, data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Marker, begin and end of every segment before the picture's own data."""
+    if data[:2] != bytes([0xFF, START_OF_IMAGE]):
+        raise ImageError(f"{path}: expected a JPEG, got another format; convert it, or leave it out")
+    begin = 2
+    while begin + 4 <= len(data) and data[begin] == 0xFF:
+        if data[begin + 1] == 0xFF:  # markers may be filled up
+            begin += 1
+            continue
+        if data[begin + 1] == START_OF_SCAN:
+            return
+        end = begin + 2 + int.from_bytes(data[begin + 2 : begin + 4], "big")
+        yield data[begin + 1], begin, end
+        begin = end
+    raise ImageError(f"{path}: expected a JPEG, got a file without a picture; replace it")
+
+
+def _edited(path: Path, packet: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
+    root = _parsed(path, packet or NEW_PACKET)
+    descriptions = [node for node in root.getElementsByTagNameNS(RDF, "Description") if _is_top(node)]
+    if not descriptions:
+        return _edited(path, NEW_PACKET, namespace, values)
+    prefix, address = namespace
+    for description in descriptions:
+        for name in values:
+            if description.hasAttributeNS(address, name):
+                description.removeAttributeNS(address, name)
+            for old in [
+                node for node in description.childNodes if (node.namespaceURI, node.localName) == (address, name)
+            ]:
+                description.removeChild(old)
+    descriptions[0].setAttributeNS(XMLNS, f"xmlns:{prefix}", address)
+    for name, value in values.items():
+        descriptions[0].setAttributeNS(address, f"{prefix}:{name}", value)
+    return root.toxml("utf-8")
+
+
+def _is_top(node: Element) -> bool:
+    """Whether properties of it are those of the picture, not of a part of a structure."""
+    return node.parentNode is not None and (node.parentNode.namespaceURI, node.parentNode.localName) == (RDF, "RDF")
+
+
+def _parsed(path: Path, packet: bytes) -> Element:
+    """The element of a packet; one that declares entities is refused, as they may be hostile."""
+    text = packet.strip(b"\0 \n")
+    try:
+        if b"<!" in text.replace(b"<!--", b"").replace(b"<![CDATA[", b""):
+            raise ValueError("a declaration of entities")
+        root = parseString(text).documentElement  # noqa: S318 - there are no entities in it
+    except (ExpatError, ValueError) as error:
+        raise ImageError(f"{path}: expected readable XMP, got '{error}'; remove the tags and try again") from error
+    if root is None:
+        raise ImageError(f"{path}: expected readable XMP, got none; remove the tags and try again")
+    return root
+
+
+def _packet(xml: bytes, size: int) -> bytes:
+    """A packet, filled with blanks up to a size: then nothing behind it moves."""
+    blanks = b" " * max(size - len(PACKET_BEGIN) - len(xml) - len(PACKET_END) - 1, 0)
+    return PACKET_BEGIN + xml + b"\n" + blanks + PACKET_END
