@@ -9,7 +9,7 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import ImageHeader
 
-__all__ = ["DEFAULT_READING", "Reading", "placement_of"]
+__all__ = ["DEFAULT_READING", "Placement", "Reading", "placement_of"]
 
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 
