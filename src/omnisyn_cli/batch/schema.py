@@ -114,7 +114,7 @@ MANIFEST_TYPES: Mapping[str, Any] = {
 }
 """Types of options that a line writes in another way than :class:`InterpolationJob`, which says all other ranges."""
 
-RUN_FIELDS = {"images", "threads", "overwrite", "finds_order"}
+RUN_FIELDS = {"images", "threads", "overwrite", "finds_order", "tour", "is_chain"}
 """Fields of :class:`InterpolationJob` that a line does not choose."""
 
 

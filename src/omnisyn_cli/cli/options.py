@@ -182,7 +182,10 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
     tour = named_tour(images, poses, allow_outside=options["allow_outside"])
     finds_order = tour.poses == POSES_FROM_PICTURES and images[0].is_dir()
     output = output or tour.output(ending())
-    return {**options, "images": tour.images, "poses": tour.poses, "output": output, "finds_order": finds_order}
+    return {
+        **options, "images": tour.images, "poses": tour.poses, "output": output, "finds_order": finds_order,
+        "tour": tour.tour, "is_chain": tour.is_chain,
+    }  # fmt: skip
 
 
 def check_one_cut(options: Mapping[str, Any]) -> None:

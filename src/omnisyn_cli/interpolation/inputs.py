@@ -10,6 +10,7 @@ from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.poses.file import POSES_NAME, read_poses, stored_file
+from omnisyn_cli.poses.tour_file import TOUR_NAME
 
 __all__ = ["NamedTour", "named_tour", "poses_beside", "video_ending"]
 
@@ -22,11 +23,15 @@ class NamedTour:
         images: the panoramas.
         poses: their pose file, or :data:`omnisyn_cli.interpolation.job.POSES_FROM_PICTURES`.
         name: of the folder that was named, else ``first-last``.
+        tour: the folder's ``tour.json``, or the one beside the first panorama; None where there is none.
+        is_chain: whether panoramas were named one by one, so that each leads to the next one.
     """
 
     images: tuple[Path, ...]
     poses: Path
     name: str
+    tour: Path | None = None
+    is_chain: bool = True
 
     def output(self, ending: str) -> Path:
         """The name, in the current folder, of what is made of the tour if nobody chooses one.
@@ -52,13 +57,20 @@ def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outsid
     """
     folder = next((path for path in given if path.is_dir()), None)
     if folder is None:
-        return NamedTour(tuple(given), poses or given[0].parent / POSES_NAME, f"{given[0].stem}-{given[-1].stem}")
+        name, place = f"{given[0].stem}-{given[-1].stem}", given[0].parent
+        return NamedTour(tuple(given), poses or place / POSES_NAME, name, _tour_file_in(place))
     if len(given) > 1:
         raise InputError(
             f"{folder}: expected panoramas, or one folder alone, got a folder among {len(given)} names; name the "
             "panoramas in it one by one"
         )
-    return NamedTour(*_in_folder(folder, poses, allow_outside), real_path(folder).name or "tour")
+    images, poses = _in_folder(folder, poses, allow_outside)
+    return NamedTour(images, poses, real_path(folder).name or "tour", _tour_file_in(folder), is_chain=False)
+
+
+def _tour_file_in(folder: Path) -> Path | None:
+    file = folder / TOUR_NAME
+    return file if file.exists() else None
 
 
 def _in_folder(folder: Path, poses: Path | None, allow_outside: bool) -> tuple[tuple[Path, ...], Path]:

@@ -75,6 +75,9 @@ class TourJob:
         camera_height: metres of the cameras above the floor, instead of a baseline.
         finds_order: the images are in no order; it is found with the poses, and those without a pose are left out.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
+        tour: file with titles, links, hotspots and a floor plan, see :mod:`omnisyn_cli.poses.tour_file`; or None.
+        is_chain: pages and sites lead from every panorama to the next one. Otherwise they follow links: those of the
+            tour file or of the pose file, else those that follow from the positions.
     """
 
     images: tuple[Path, ...]
@@ -104,6 +107,8 @@ class TourJob:
     camera_height: Positive | None = None
     finds_order: bool = False
     refine: bool = False
+    tour: Path | None = None
+    is_chain: bool = True
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
+from omnisyn_cli.poses.tour import Tour
+from omnisyn_cli.poses.tour_file import read_tour
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, plan_path
 
@@ -74,6 +76,7 @@ class TourPlan:
         source_sizes: (height, width) at which every panorama is read.
         config: what surfaces and frames are made with.
         notes: what the user should know.
+        tour: titles, links and more; its panoramas are those of the job, but each once.
     """
 
     job: TourJob
@@ -81,6 +84,7 @@ class TourPlan:
     source_sizes: tuple[tuple[int, int], ...]
     config: RunConfig
     notes: tuple[str, ...]
+    tour: Tour
 
     @property
     def looks_ahead(self) -> bool:
@@ -212,7 +216,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         job, entries, sources, config,
         (*tour.notes, *_notes_about_video(job, entries, config), *_notes_about_size(job, tour.source_sizes, sources),
          *notes_about_gpu(config, job)),
-        size, path, path_length(poses),
+        tour.tour, size, path, path_length(poses),
         estimated_memory(job, config, size, sources, _surface_sizes(config, sources, entries)),
     )  # fmt: skip
 
@@ -260,7 +264,11 @@ def plan_tour(
     checks.check_companions(job, entries, source_sizes, config)
     about_places = _notes_about_baselines(job, entries)
     notes = (*remarks, *_notes_about_pictures(job), *about_places, *_notes_about_depth(job, entries, config))
-    return TourPlan(job, entries, source_sizes, config, notes)
+    title = f"{job.images[0].stem} – {job.images[-1].stem}"
+    tour = read_tour(
+        job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside
+    )  # fmt: skip
+    return TourPlan(job, entries, source_sizes, config, notes, tour)
 
 
 def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
@@ -314,19 +322,19 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
 
     reading = reading_of(job)
     options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
-    if is_found:
-        found = estimate_poses(
-            job.images, () if job.baseline is None else (job.baseline,), options,
-            camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
-        )  # fmt: skip
-        order = [job.images.index(image) for image in found.order]
-        job = replace(
-            job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
-        )
-    else:
-        found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
-    elsewhere = () if is_found else notes_of_place(job.images, job.poses)
-    return job, PoseFile(job.poses, found.panoramas), (*elsewhere, *found.notes)
+    if job.refine:
+        given = read_poses(job.poses, allow_outside=job.allow_outside)
+        found = refine_poses(job.images, given, options)
+        return job, replace(given, panoramas=found.panoramas), (*notes_of_place(job.images, job.poses), *found.notes)
+    found = estimate_poses(
+        job.images, () if job.baseline is None else (job.baseline,), options,
+        camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
+    )  # fmt: skip
+    order = [job.images.index(image) for image in found.order]
+    job = replace(
+        job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
+    )
+    return job, PoseFile(job.poses, found.panoramas), found.notes
 
 
 def frame_count(job: InterpolationJob) -> int:

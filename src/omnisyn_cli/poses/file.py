@@ -82,11 +82,13 @@ class PoseFile:
         path: the file.
         panoramas: entries by image file name, or by path where that tells images apart, in the order of the file.
         links: names of panoramas that a tour leads between; None where the file does not say.
+        is_geographic: whether it has places on earth, so that −z is north.
     """
 
     path: Path
     panoramas: Mapping[str, PosedPanorama]
     links: tuple[tuple[str, str], ...] | None = None
+    is_geographic: bool = False
 
     def of(self, image_path: Path | str) -> PosedPanorama:
         """The entry of an image; PoseError: there is none; it names those there are."""
@@ -213,7 +215,7 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
         pose = pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
         files = {key: _companion(path, name, key, getattr(entry, key), allow_outside) for key in ("depth", "mask")}
         panoramas[name] = PosedPanorama(pose, **files, title=entry.title, caption=entry.caption)
-    return PoseFile(path, panoramas, _links(path, document, panoramas))
+    return PoseFile(path, panoramas, _links(path, document, panoramas), origin is not None)
 
 
 def _links(path: Path, document: PoseDocument, known: Iterable[str]) -> tuple[tuple[str, str], ...] | None:

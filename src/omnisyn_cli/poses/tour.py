@@ -128,6 +128,7 @@ class Tour:
         start: where it begins.
         hotspots: marks with points that every panorama shows.
         plan: floor plan, or None.
+        is_geographic: whether the world's −z is north.
     """
 
     title: str
@@ -136,6 +137,7 @@ class Tour:
     start: StartView
     hotspots: tuple[Hotspot, ...] = ()
     plan: FloorPlan | None = None
+    is_geographic: bool = False
 
     @cached_property
     def by_name(self) -> Mapping[str, TourPanorama]:

@@ -146,7 +146,8 @@ def read_tour(
     start = source.start(names[0])
     if start.panorama not in names:
         start = StartView(names[0])
-    return Tour(document.title or title, panoramas, links, start, source.hotspots(document.hotspots), source.plan())
+    hotspots, plan = source.hotspots(document.hotspots), source.plan()
+    return Tour(document.title or title, panoramas, links, start, hotspots, plan, poses.is_geographic)
 
 
 class _Source:

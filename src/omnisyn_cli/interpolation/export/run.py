@@ -168,7 +168,7 @@ def plan_export(job: ExportJob) -> ExportPlan:
     if tour.config.estimates_depth:
         notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(job, tour.entries)]
     return ExportPlan(
-        job, tour.entries, tour.source_sizes, tour.config, tuple(notes), name, job.stride or chosen.stride,
+        job, tour.entries, tour.source_sizes, tour.config, tuple(notes), tour.tour, name, job.stride or chosen.stride,
         chosen.sky if job.sky is None else job.sky,
     )  # fmt: skip
 

@@ -92,7 +92,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     still = pairs_at_one_place(job, tour.entries)
     notes = (*tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
-    return ViewPlan(job, tour.entries, tour.source_sizes, tour.config, notes)
+    return ViewPlan(job, tour.entries, tour.source_sizes, tour.config, notes, tour.tour)
 
 
 def run_view(
