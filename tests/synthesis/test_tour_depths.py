@@ -214,3 +214,18 @@ def test_frames_on_both_sides_are_made_of_the_joined_depth() -> None:
 
     for made, right in zip(frames(half_blind), frames(KnownDepth()), strict=True):
         np.testing.assert_allclose(made, right, atol=0.02)
+
+
+def test_at_a_crossing_all_neighbours_are_asked_once() -> None:
+    """Three links meet at the second panorama; what two of them agree on stands, whatever the order of the links."""
+    views = [hall_view(pose) for pose in WALK]
+    estimator = Counted(disturbed)
+    links = [(0, 1), (1, 2), (1, 3)]
+    graph = ChainDepth(views, estimator, Stopwatch(), 1, links)
+    crossing = [graph(index)[int(index == 0)] for index in range(3)]
+    assert estimator.asked == 3
+    assert crossing[0] is crossing[1] is crossing[2]
+    other = ChainDepth(views, disturbed, Stopwatch(), 1, [(1, 3), (0, 1), (1, 2)])(0)[0]
+    np.testing.assert_allclose(crossing[0].inverse_depth, other.inverse_depth, rtol=1e-5)
+    off = np.abs(crossing[0].inverse_depth - 0.25)
+    assert (off > 0.1).mean() < (np.abs(disturbed(views[1], views[2])[0].inverse_depth - 0.25) > 0.1).mean()

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from annotated_types import Ge, Gt, Interval
 
@@ -109,6 +109,9 @@ class TourJob:
     refine: bool = False
     tour: Path | None = None
     is_chain: bool = True
+
+    follows_links: ClassVar[bool] = False
+    """Whether what is made leads along links, where the panoramas are no chain."""
 
 
 @dataclass(frozen=True)

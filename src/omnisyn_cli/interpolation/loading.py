@@ -50,7 +50,7 @@ class CachedPanorama:
 class Loader(Sequence[View]):
     """All views, read from their files when they are needed.
 
-    The last two are kept, as long as the loader is; three where depth is looked for in a tour.
+    The last two are kept, as long as the loader is; three where depth is looked for in a tour, more at its crossings.
 
     Attributes:
         left_out: share of the sphere that was found to move with the camera, by the index of the panorama.
@@ -59,11 +59,11 @@ class Loader(Sequence[View]):
     def __init__(self, plan: TourPlan, clock: Stopwatch, read: PanoramaReader) -> None:
         self._plan, self._clock = plan, clock
         # Methods of its own in here would keep the loader, and what it keeps, alive until somebody looks for cycles.
-        self.panorama = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_panorama, plan, read))
-        self._companions = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_companions, plan, self.panorama))
-        self._camera_fixed = lru_cache(maxsize=2 + plan.looks_ahead)(
-            partial(_find_camera_fixed, plan, self.panorama, self._companions)
-        )
+        kept = plan.views_at_once
+        self.panorama = lru_cache(maxsize=kept)(partial(_read_panorama, plan, read))
+        self._companions = lru_cache(maxsize=kept)(partial(_read_companions, plan, self.panorama))
+        self._camera_fixed = lru_cache(maxsize=kept)(partial(_find_camera_fixed, plan, self.panorama, self._companions))
+        self._neighbour = {view: pair for pair in reversed(plan.pairs) for view in pair}
         self.left_out: dict[int, float] = {}
 
     def __len__(self) -> int:
@@ -74,7 +74,8 @@ class Loader(Sequence[View]):
             panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
         if self._plan.job.nadir is None:
             with self._clock("decode"):
-                fixed = self._camera_fixed(max(index - 1, 0))[min(index, 1)]
+                pair = self._neighbour[index]
+                fixed = self._camera_fixed(*pair)[pair.index(index)]
             if fixed is not None:
                 mask = ~fixed if mask is None else mask & ~fixed
                 area = solid_angles(*fixed.shape)
@@ -114,11 +115,11 @@ def _find_camera_fixed(
     panorama_of: Callable[[int], CachedPanorama],
     companions_of: Callable[[int], tuple[np.ndarray | None, DepthEstimate | None]],
     first: int,
+    second: int,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """What moves with the camera in a panorama and in the next one."""
+    """What moves with the camera in two neighbours."""
     views = [
-        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0])
-        for index in (first, first + 1)
+        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
     ]
     if at_same_position(views[0].pose, views[1].pose):
         return None, None

@@ -1,8 +1,10 @@
 """A job that has been checked: its poses and path, where its depth comes from, what there is to say about it."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -60,6 +62,9 @@ READING_SHARE = 2
 MIN_READING_ROWS = 2048
 """Rows to which panoramas are reduced at the most: depth of more is not more accurate."""
 
+MAX_KEPT_NEIGHBOURS = 3
+"""Of a panorama at a crossing, besides the pair at work; others are read again."""
+
 MIN_REDUCTION = 1.25
 """Factor below which a panorama is read as it is."""
 
@@ -86,16 +91,32 @@ class TourPlan:
     notes: tuple[str, ...]
     tour: Tour
 
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """Indices of the two panoramas of every pair: neighbours in the chain, or the ends of every link."""
+        if self.job.is_chain or not self.job.follows_links:
+            return tuple(pairwise(range(len(self.entries))))
+        place = {panorama.name: k for k, panorama in enumerate(self.tour.panoramas)}
+        return tuple((place[first], place[second]) for first, second in self.tour.links)
+
     @property
     def looks_ahead(self) -> bool:
-        """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
+        """Whether depth of a panorama comes from all its neighbours, for which other pairs are compared as well."""
         return fuses_chain_depth(self.config, len(self.entries))
 
     @property
+    def views_at_once(self) -> int:
+        """How many panoramas are kept: those of the pair at work, and their neighbours where depth is fused."""
+        degrees = Counter(view for pair in self.pairs for view in pair)
+        return 2 + self.looks_ahead * min(max(degrees.values()) - 1, MAX_KEPT_NEIGHBOURS)
+
+    @property
     def fused_depths(self) -> int:
-        """How many panoramas have their depth from both neighbours: those inside that stand apart from both."""
-        is_apart = [not at_same_position(before.pose, after.pose) for before, after in pairwise(self.entries)]
-        return sum(a and b for a, b in pairwise(is_apart)) if self.looks_ahead else 0
+        """How many panoramas have their depth from several neighbours that stand apart from them."""
+        poses = [entry.pose for entry in self.entries]
+        apart = [pair for pair in self.pairs if not at_same_position(poses[pair[0]], poses[pair[1]])]
+        counts = Counter(view for pair in apart for view in pair)
+        return sum(count > 1 for count in counts.values()) if self.looks_ahead else 0
 
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
@@ -214,7 +235,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         path = look_along(path, poses[0], job.look or LOOK_AHEAD)
     return InterpolationPlan(
         job, entries, sources, config,
-        (*tour.notes, *_notes_about_video(job, entries, config), *_notes_about_size(job, tour.source_sizes, sources),
+        (*tour.notes, *_notes_about_video(tour, config), *_notes_about_size(job, tour.source_sizes, sources),
          *notes_about_gpu(config, job)),
         tour.tour, size, path, path_length(poses),
         estimated_memory(job, config, size, sources, _surface_sizes(config, sources, entries)),
@@ -262,13 +283,13 @@ def plan_tour(
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     config = _installed(config_of(job, entries))
     checks.check_companions(job, entries, source_sizes, config)
-    about_places = _notes_about_baselines(job, entries)
-    notes = (*remarks, *_notes_about_pictures(job), *about_places, *_notes_about_depth(job, entries, config))
     title = f"{job.images[0].stem} – {job.images[-1].stem}"
     tour = read_tour(
         job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside
     )  # fmt: skip
-    return TourPlan(job, entries, source_sizes, config, notes, tour)
+    plan = TourPlan(job, entries, source_sizes, config, (), tour)
+    about_places, about_depth = _notes_about_baselines(plan), _notes_about_depth(job, entries, config)
+    return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *about_places, *about_depth))
 
 
 def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
@@ -414,23 +435,26 @@ def _notes_about_pictures(job: TourJob) -> Iterator[str]:
         yield f"{listed(several)}: holds several pictures or is animated; the first picture is taken"
 
 
-def _notes_about_baselines(job: TourJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
-    for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
-        metres = math.dist(first.pose.position, second.pose.position)
+def _notes_about_baselines(plan: TourPlan) -> Iterator[str]:
+    for a, b in plan.pairs:
+        metres = math.dist(plan.entries[a].pose.position, plan.entries[b].pose.position)
         if metres > MAX_USUAL_BASELINE_METRES:
-            yield f"{a.name} and {b.name} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
+            names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
+            yield f"{names} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
 
 
-def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama], config: RunConfig) -> Iterator[str]:
+def _notes_about_video(tour: TourPlan, config: RunConfig) -> Iterator[str]:
     if note := config.method_strategy.note:
         yield f"{config.method} {note}"
-    for where, is_turned in pairs_at_one_place(job, entries):
+    for where, is_turned in pairs_at_one_place(tour):
         how = "turns in place and cross-fades" if is_turned else "cross-fades"
         yield f"{where}: there is no parallax to follow, the video {how}"
 
 
-def pairs_at_one_place(job: TourJob, entries: Sequence[PosedPanorama]) -> Iterator[tuple[str, bool]]:
+def pairs_at_one_place(plan: TourPlan) -> Iterator[tuple[str, bool]]:
     """For neighbours without a way between them the words that say so, and whether they are turned to each other."""
-    for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
-        if at_same_position(first.pose, second.pose):
-            yield f"{a.name} and {b.name} have the same position", not second.pose.almost_equals(first.pose)
+    for a, b in plan.pairs:
+        first, second = plan.entries[a].pose, plan.entries[b].pose
+        if at_same_position(first, second):
+            names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
+            yield f"{names} have the same position", not second.almost_equals(first)

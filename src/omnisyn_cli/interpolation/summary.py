@@ -143,7 +143,7 @@ class TourSummary:
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """Where that is, in words, for a direction half way between the panoramas of a pair."""
-        first, second = self.plan.job.images[index : index + 2]
+        first, second = (self.plan.job.images[view] for view in self.plan.pairs[index])
         return f"between {first.name} and {second.name}, {direction_in_words(direction)}"
 
     def _remedies(self, pair: PairConfidence) -> Iterator[str]:
@@ -214,7 +214,7 @@ def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
 
 def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str = TourSummary.advice) -> str:
     """What is wrong with a pair and what to do about it, in one line."""
-    first, second = plan.job.images[index : index + 2]
+    first, second = (plan.job.images[view] for view in plan.pairs[index])
     return (
         f"{first.name} and {second.name}: expected a confidence of at least {MIN_PAIR_SCORE:g}, got {pair.score:.2f} "
         f"({pair.unseen:.0%} unseen, {pair.disagreement:.0%} in disagreement); check the poses, take panoramas that "

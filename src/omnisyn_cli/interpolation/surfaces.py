@@ -6,7 +6,7 @@ and preset; :func:`panorama_surfaces` is for what wants the surface of each pano
 
 from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass
-from itertools import chain, groupby, pairwise
+from itertools import chain, groupby
 
 import cv2
 import numpy as np
@@ -62,7 +62,7 @@ class PairSurfaces:
     """Two neighbours and their surfaces.
 
     Attributes:
-        index: of the first.
+        index: of the pair in the plan: in a chain that of its first panorama.
         surfaces: of the first and of the second.
         check: how differently they are exposed, and how far what is made of them can be relied on.
     """
@@ -81,7 +81,7 @@ def tour_surfaces(
     estimator: DepthEstimator | None = None,
     clock: Stopwatch | None = None,
 ) -> Iterator[PairSurfaces]:
-    """The surfaces of every pair of neighbours, one pair at a time, in order.
+    """The surfaces of every pair of the plan, one pair at a time, in order.
 
     Args:
         plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its config depth, cut and device matter.
@@ -96,16 +96,16 @@ def tour_surfaces(
     clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
     loader = Loader(plan, clock, read)
     estimator = estimator or make_estimator(config.depth, device=config.device, threads=threads)
-    tour = ChainDepth(loader, estimator, clock, threads)
-    for first, second in pairwise(range(len(loader))):
+    tour = ChainDepth(loader, estimator, clock, threads, plan.pairs)
+    for index, (first, second) in enumerate(plan.pairs):
         with limited_threads(threads):
             views = loader[first], loader[second]
             size, cut = min(view.image.shape[:2] for view in views), Cut(config.cut, config.cut_metres)
-            depths, check = measure_pair(first, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
+            depths, check = measure_pair(index, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
-                pair = pair_surfaces(plan, first, views, depths, check)
+                pair = pair_surfaces(plan, index, views, depths, check)
         if scores is not None:
-            scores[first] = check.confidence
+            scores[index] = check.confidence
         if left_out is not None:
             left_out.update(loader.left_out)
         yield pair
@@ -118,14 +118,14 @@ def pair_surfaces(
 
     Args:
         plan: of the tour; only where its config cuts surfaces matters.
-        index: of the first view.
+        index: of the pair.
         views: both.
         depths: of both.
         check: what they say of each other.
     """
     cut = Cut(plan.config.cut, plan.config.cut_metres)
     views, depths = continue_ground(views, depths)
-    first, second = (_meshed(index + k, views[k], depths[k], cut) for k in (0, 1))
+    first, second = (_meshed(plan.pairs[index][k], views[k], depths[k], cut) for k in (0, 1))
     return PairSurfaces(index, (first, second), check)
 
 

@@ -1,20 +1,21 @@
-"""Depth along a tour: what both neighbours of a panorama say of it, joined to one estimate.
+"""Depth along a tour: what all neighbours of a panorama say of it, joined to one estimate.
 
-A panorama inside a chain is compared with the one before it and with the one after it. Each comparison is blind towards
-its neighbour and away from it, and behind things each neighbour sees something else. What both found is joined once and
-serves the frames on both sides.
+A panorama inside a chain is compared with the one before it and with the one after it; at a crossing there are more.
+Each comparison is blind towards its neighbour and away from it, and behind things each neighbour sees something else.
+What all found is joined once and serves the frames on all sides.
 
 Where they agree the mean is taken, weighted by confidence and by how exactly each could measure: parallax grows with
 the distance of a neighbour times the sine of the angle to it. Where they contradict each other the more confident one
 is taken, but colours count as well: a place that is where an estimate says has the panorama's colour in at least one of
-the neighbours, as the other one may be looking at something in front of it.
+the neighbours, as the others may be looking at something in front of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import cv2
@@ -80,28 +81,43 @@ class PairDepth:
         )
 
 
-def fuse_depth(one: PairDepth, other: PairDepth) -> DepthEstimate:
-    """Both opinions of a panorama as one estimate, of the size of the larger; their order changes nothing."""
-    size = max(one.depth.inverse_depth.shape, other.depth.inverse_depth.shape)
-    depths = [_enlarged(pair_depth.depth, size) for pair_depth in (one, other)]
-    (rho, sure), (other_rho, other_sure) = ((depth.inverse_depth, depth.confidence) for depth in depths)
-    near, far = np.maximum(rho, other_rho), np.minimum(rho, other_rho)
-    likely, other_likely = (depth.confidence * _likeness(depth, (one, other)) for depth in depths)
-    is_first = (likely > other_likely) | ((likely == other_likely) & (rho == far))
-    weight, other_weight = sure * one.exactness(size), other_sure * other.exactness(size)
-    weight_of_near = np.where(rho == near, weight, other_weight)
-    share = weight_of_near / np.where(weight + other_weight > 0.0, weight + other_weight, 1.0)
-    agree = near - far <= SAME_POINT_TOLERANCE * near
-    inverse_depth = np.where(agree, far + share * (near - far), np.where(is_first, rho, other_rho))
-    confidence = np.where(agree, np.maximum(sure, other_sure), np.where(is_first, sure, other_sure))
+def fuse_depth(*opinions: PairDepth) -> DepthEstimate:
+    """All opinions of a panorama as one estimate, of the size of the largest; their order changes nothing.
+
+    Where they contradict each other, those that agree with the likeliest one are joined.
+    """
+    size = max(opinion.depth.inverse_depth.shape for opinion in opinions)
+    depths = [_enlarged(opinion.depth, size) for opinion in opinions]
+    order = [(depth.confidence * _likeness(depth, opinions), depth.inverse_depth) for depth in depths]
+    _, likeliest = reduce(_likelier, order)
+    is_joined = [_agree(likeliest, depth.inverse_depth) for depth in depths]
+    joined = list(zip(is_joined, opinions, depths, strict=True))
+    far = reduce(np.minimum, [np.where(is_in, depth.inverse_depth, np.inf) for is_in, _, depth in joined])
+    weights = [np.where(is_in, depth.confidence * one.exactness(size), 0.0) for is_in, one, depth in joined]
+    total = reduce(np.add, weights)
+    beyond = [weight * (depth.inverse_depth - far) for weight, depth in zip(weights, depths, strict=True)]
+    inverse_depth = far + reduce(np.add, beyond) / np.where(total > 0.0, total, 1.0)
+    confidence = reduce(np.maximum, [np.where(is_in, depth.confidence, 0.0) for is_in, _, depth in joined])
     return DepthEstimate(inverse_depth.astype(np.float32), confidence.astype(np.float32))
 
 
-def _likeness(depth: DepthEstimate, pair_depths: tuple[PairDepth, PairDepth]) -> Float32[np.ndarray, "height width"]:
-    """How well colours fit to an estimate in the neighbour where they fit better, in (0, 1]."""
-    reduced = subsample_depth(depth, pair_depths[0].image.shape[:2]).inverse_depth
-    reduced = resized_to(reduced, pair_depths[0].image.shape[:2], cv2.INTER_NEAREST)
-    mismatch = np.minimum(*(pair_depth.mismatch(reduced) for pair_depth in pair_depths))
+def _likelier(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Of two pairs of a likelihood and an inverse depth the likelier one; of equal ones the farther."""
+    (likely, rho), (other_likely, other_rho) = one, other
+    is_first = (likely > other_likely) | ((likely == other_likely) & (rho <= other_rho))
+    return np.where(is_first, likely, other_likely), np.where(is_first, rho, other_rho)
+
+
+def _agree(rho: np.ndarray, other_rho: np.ndarray) -> np.ndarray:
+    near = np.maximum(rho, other_rho)
+    return np.asarray(near - np.minimum(rho, other_rho) <= SAME_POINT_TOLERANCE * near)
+
+
+def _likeness(depth: DepthEstimate, opinions: Sequence[PairDepth]) -> Float32[np.ndarray, "height width"]:
+    """How well colours fit to an estimate in the neighbour where they fit best, in (0, 1]."""
+    reduced = subsample_depth(depth, opinions[0].image.shape[:2]).inverse_depth
+    reduced = resized_to(reduced, opinions[0].image.shape[:2], cv2.INTER_NEAREST)
+    mismatch = reduce(np.minimum, [opinion.mismatch(reduced) for opinion in opinions])
     return resized_to(
         np.exp(-mismatch / np.float32(COLOUR_MISMATCH_SCALE)), depth.inverse_depth.shape, cv2.INTER_NEAREST
     )
@@ -115,10 +131,10 @@ def _enlarged(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
 
 
 class ChainDepth:
-    """The depth of the panoramas of a chain, found when it is asked for.
+    """The depth of the panoramas of a chain or of any graph, found when it is asked for.
 
-    To know all about the second panorama of a pair, the pair after it is compared too. What has been found and may be
-    needed by the next pair is kept, nothing else; whatever is asked for in whatever order, the answers are the same.
+    To know all about the second panorama of a pair, all its other pairs are compared too. What has been found and may
+    be needed by the next pairs is kept, nothing else. Answers do not depend on the order in which they are asked for.
 
     Args:
         views: the panoramas, in order.
@@ -126,60 +142,63 @@ class ChainDepth:
             taken as it is.
         clock: collects seconds by stage.
         threads: at most this many; None is one per core.
+        links: indices of the two panoramas of every pair, the first one smaller; None is a chain.
     """
 
     def __init__(
-        self, views: Sequence[View], estimator: DepthEstimator, clock: Stopwatch, threads: int | None = None
-    ) -> None:
+        self, views: Sequence[View], estimator: DepthEstimator, clock: Stopwatch, threads: int | None = None,
+        links: Sequence[tuple[int, int]] | None = None,
+    ) -> None:  # fmt: skip
         self.views = views
+        self.links = list(pairwise(range(len(views)))) if links is None else links
         self._estimator, self._clock, self._threads = estimator, clock, threads
         self._pair_depths: dict[tuple[int, int], PairDepth | None] = {}
         self._known: dict[int, DepthEstimate] = {}
 
     def __call__(self, index: int) -> tuple[DepthEstimate, DepthEstimate]:
-        """Of the views ``index`` and ``index + 1``, which must not stand at one place."""
+        """Of both views of the pair number ``index``, which must not stand at one place."""
+        first, second = self.links[index]
         if isinstance(self._estimator, KnownDepth):
-            views = self.views[index], self.views[index + 1]
+            views = self.views[first], self.views[second]
             with self._clock("depth"):
                 return self._estimator(*views)
-        depths = self._of(index), self._of(index + 1)
-        self._known = {view: depth for view, depth in self._known.items() if view in (index, index + 1)}
-        self._pair_depths = {
-            (view, other): pair_depth for (view, other), pair_depth in self._pair_depths.items()
-            if view in (index - 1, index + 2) and other in (index, index + 1)
-        }  # fmt: skip
+        depths = self._of(first), self._of(second)
+        needed = {view for link in self.links[index:] for view in link}
+        self._known = {view: depth for view, depth in self._known.items() if view in needed}
         return depths
 
     def _of(self, view: int) -> DepthEstimate:
         if view not in self._known:
-            others = [other for other in (view - 1, view + 1) if 0 <= other < len(self.views)]
-            pair_depths = [pair_depth for other in others if (pair_depth := self._pair_depth(view, other)) is not None]
+            others = [link[1] if link[0] == view else link[0] for link in self.links if view in link]
+            opinions = [opinion for other in others if (opinion := self._pair_depth(view, other)) is not None]
             with self._clock("depth"):
-                self._known[view] = (
-                    pair_depths[0].depth if len(pair_depths) == 1 else fuse_depth(pair_depths[0], pair_depths[1])
-                )
+                self._known[view] = opinions[0].depth if len(opinions) == 1 else fuse_depth(*opinions)
+            for other in others:
+                del self._pair_depths[view, other]
         return self._known[view]
 
     def _pair_depth(self, view: int, other: int) -> PairDepth | None:
         if (view, other) not in self._pair_depths:
-            self._pair_depths.update(self._found(min(view, other)))
+            first, second = min(view, other), max(view, other)
+            found = self._found(first, second)
+            self._pair_depths.update({key: found[key] for key in found if key[0] not in self._known})
         return self._pair_depths[view, other]
 
-    def _found(self, index: int) -> dict[tuple[int, int], PairDepth | None]:
+    def _found(self, here: int, there: int) -> dict[tuple[int, int], PairDepth | None]:
         """What a pair says of both its views; nothing where they stand at one place."""
-        first, second = self.views[index], self.views[index + 1]
+        first, second = self.views[here], self.views[there]
         if at_same_position(first.pose, second.pose):
-            return {(index, index + 1): None, (index + 1, index): None}
+            return {(here, there): None, (there, here): None}
         with self._clock("depth"):
             alike = equalize_exposure(first, second, self._threads)
             depths = self._estimator(*alike)
             size = min(CROSS_CHECK_SIZE, *(view.image.shape[:2] for view in alike))
             pictures = [_reduced(view, size) for view in alike]
-            there, back = (
+            forth, back = (
                 PairDepth(depths[k], pictures[k][..., :3], pictures[1 - k], alike[1 - k].pose.inverse() @ alike[k].pose)
                 for k in (0, 1)
             )
-        return {(index, index + 1): there, (index + 1, index): back}
+        return {(here, there): forth, (there, here): back}
 
 
 def _reduced(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 4"]:

@@ -81,11 +81,11 @@ class PreparedPair:
 def measure_pair(
     index: int, tour: ChainDepth, options: SynthesisOptions, clock: Stopwatch
 ) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
-    """The depth of the view number ``index`` of a tour and of the next, and what they say of each other through it.
+    """The depth of both views of the pair number ``index``, and what they say of each other through it.
 
     Where both views stand at one place depth is not looked for.
     """
-    first, second = tour.views[index], tour.views[index + 1]
+    first, second = (tour.views[view] for view in tour.links[index])
     if at_same_position(first.pose, second.pose):
         with clock("depth"):
             depths = _depths_in_place(first, second, options)
@@ -100,7 +100,8 @@ def prepare_pair(
 ) -> PreparedPair:
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
     depths, check = measure_pair(index, tour, options, clock)
-    whole = tour.views[index], tour.views[index + 1]
+    first_view, second_view = tour.links[index]
+    whole = tour.views[first_view], tour.views[second_view]
     with clock("mesh"):
         (first, second), drawn_depths = continue_ground(whole, depths)
     masked_fade = None

@@ -166,7 +166,7 @@ def plan_export(job: ExportJob) -> ExportPlan:
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
     notes = list(tour.notes)
     if tour.config.estimates_depth:
-        notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(job, tour.entries)]
+        notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(tour)]
     return ExportPlan(
         job, tour.entries, tour.source_sizes, tour.config, tuple(notes), tour.tour, name, job.stride or chosen.stride,
         chosen.sky if job.sky is None else job.sky,

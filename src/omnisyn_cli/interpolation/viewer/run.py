@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError
@@ -36,6 +36,8 @@ class ViewJob(TourJob):
 
     options: ViewOptions = field(default_factory=ViewOptions)
     is_folder: bool = False
+
+    follows_links: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
     check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
     tour = plan_tour(job)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
-    still = pairs_at_one_place(job, tour.entries)
+    still = pairs_at_one_place(tour)
     notes = (*tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
     return ViewPlan(job, tour.entries, tour.source_sizes, tour.config, notes, tour.tour)
 
