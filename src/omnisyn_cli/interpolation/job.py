@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Interval
 
@@ -110,8 +110,10 @@ class TourJob:
     tour: Path | None = None
     is_chain: bool = True
 
-    follows_links: ClassVar[bool] = False
-    """Whether what is made leads along links, where the panoramas are no chain."""
+    @property
+    def follows_links(self) -> bool:
+        """Whether what is made leads along links, where the panoramas are no chain."""
+        return False
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import Any
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError
@@ -37,7 +37,10 @@ class ViewJob(TourJob):
     options: ViewOptions = field(default_factory=ViewOptions)
     is_folder: bool = False
 
-    follows_links: ClassVar[bool] = True
+    @property
+    def follows_links(self) -> bool:
+        """Always."""
+        return True
 
 
 @dataclass(frozen=True)
