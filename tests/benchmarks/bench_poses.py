@@ -2,7 +2,8 @@
 
 A hundred pairs of all kinds of scenes are made in FOLDER once, with the photographs in TEXTURES: up to 1.5 times as far
 apart as the nearest wall, looking anywhere, tilted by up to 20°, differently exposed. The even ones were used for
-tuning, the odd ones judge. Prints errors and time of every pair, and a table of both halves.
+tuning, the odd ones judge. Prints errors and time of every pair, and a table of both halves with the share of errors
+within twice the stated deviation.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ def make_pair(folder: Path, kind: str, seed: int, photos: Photos) -> None:
     write_poses(folder / "poses.json", {f"{n}.jpg": PosedPanorama(p) for n, p in zip("ab", poses, strict=True)})
 
 
-def judged(folder: Path) -> tuple[float, float, float] | None:
-    """Degrees of rotation and direction by which a pair is off, and seconds; None where it is refused."""
+def judged(folder: Path) -> tuple[float, ...] | None:
+    """Degrees of rotation and direction by which a pair is off, seconds, and both errors over those stated, or None."""
     begin = time.perf_counter()
     images = [folder / "a.jpg", folder / "b.jpg"]
     try:
@@ -80,7 +81,9 @@ def judged(folder: Path) -> tuple[float, float, float] | None:
     pair, true_pair = (relative_pose(*(poses[image.name].pose for image in images)) for poses in (found, truth))
     off = np.degrees([rotation_error(pair, true_pair), direction_error(pair, true_pair)])
     print(f"{folder.name:16} rotation {off[0]:7.2f}°  direction {off[1]:7.2f}°  {seconds:5.1f} s", flush=True)
-    return float(off[0]), float(off[1]), seconds
+    stated = found["b.jpg"].uncertainty
+    ratios = (np.radians(off[0]) / stated.rotation, np.tan(np.radians(off[1])) / stated.position) if stated else ()
+    return float(off[0]), float(off[1]), seconds, *ratios
 
 
 def main() -> None:
@@ -100,7 +103,9 @@ def main() -> None:
         good = sum(row[0] < FOUND[0] and row[1] < FOUND[1] for row in accepted)
         wrong = sum(max(row[:2]) > WRONG for row in accepted)
         seconds = np.mean([row[2] for row in accepted]) if accepted else math.nan
+        honest = np.mean([np.less(row[3:], 2.0) for row in accepted], axis=0)
         print(f"{label}: {good} of {len(rows)} found, {wrong} wrong, {len(accepted)} accepted, {seconds:.1f} s each")
+        print(f"within twice the stated deviation: rotation {honest[0]:.2f}, direction {honest[1]:.2f}")
 
 
 if __name__ == "__main__":

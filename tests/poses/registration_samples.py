@@ -13,7 +13,9 @@ from omnisyn_cli.geometry.pose import (
     rotation_vector_from_rotation,
 )
 from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
-from omnisyn_cli.poses.registration.least_squares import relative_pose
+from omnisyn_cli.poses.registration.least_squares import Uncertainty, relative_pose
+from omnisyn_cli.poses.registration.pose_graph import Edge
+from omnisyn_cli.poses.registration.robust import Estimate
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 PIXEL = np.pi / 512
@@ -49,6 +51,28 @@ def matches_of(
     is_wrong = rng.random(count) < wrong
     noisy[1][is_wrong] = unit(rng.normal(size=(int(is_wrong.sum()), 3)))
     return Matches(noisy[0], noisy[1], PIXEL)
+
+
+SPACING = (0.4, 1.3, 0.7, 2.0)
+
+
+def chain() -> list[Pose]:
+    rng = np.random.default_rng(0)
+    along = np.concatenate([[0.0], np.cumsum(SPACING)])
+    return [Pose(random_pose(rng).rotation, np.array([x, 0.02 * x, 0.0])) for x in along]
+
+
+def edges_of(poses: list[Pose], pairs: list[tuple[int, int]], noise: float = 0.0, seed: int = 1) -> list[Edge]:
+    """Pairs that all see the same points; ``noise`` is radians of each direction, the same in all pairs."""
+    rng = np.random.default_rng(seed)
+    points = world_points(rng, 300)
+    directions = [seen(pose, pose, points).first for pose in poses]
+    directions = [unit(each + rng.normal(size=each.shape) * noise) for each in directions]
+    return [
+        Edge(a, b, Estimate(relative_pose(poses[a], poses[b]), np.ones(300, bool), 0.0, Uncertainty(0.0, 0.0), False),
+             Matches(directions[a], directions[b], PIXEL))
+        for a, b in pairs
+    ]  # fmt: skip
 
 
 @lru_cache(maxsize=1)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from omnisyn_cli.errors import OmnisynError, OutputPathError, PoseError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_quaternion
 from omnisyn_cli.interpolation.inputs import named_tour
-from omnisyn_cli.poses.file import PosedPanorama, distinct_names, read_poses, write_poses
+from omnisyn_cli.poses.file import PosedPanorama, PoseUncertainty, distinct_names, read_poses, write_poses
 
 RIGID = {"position": [0, 0, 0], "rotation": [1, 0, 0, 0]}
 
@@ -84,6 +84,16 @@ def test_writing_and_reading_is_exact_in_position_and_a_rounding_in_rotation(tmp
     np.testing.assert_array_equal(panorama.pose.position, position)
     np.testing.assert_allclose(panorama.pose.rotation, pose.rotation, atol=1e-12)
     assert panorama.depth == folder / "d" / "x.exr"
+
+
+def test_uncertainties_are_kept_with_two_digits(tmp_path):
+    known = [None, PoseUncertainty(np.radians(0.0123456), 0.0345678), PoseUncertainty(np.radians(1.0), None)]
+    write_poses(
+        tmp_path / "p.json", {f"{k}.jpg": PosedPanorama(Pose.identity(), uncertainty=u) for k, u in enumerate(known)}
+    )
+    _, second, third = [panorama.uncertainty for panorama in read_poses(tmp_path / "p.json").panoramas.values()]
+    assert (second.rotation, second.position) == pytest.approx((np.radians(0.012), 0.035))
+    assert (third.rotation, third.position) == (pytest.approx(np.radians(1.0)), None)
 
 
 def test_quaternion_3x3_and_4x4_say_the_same(tmp_path):

@@ -1,42 +1,21 @@
 """Sets of panoramas: scale from shared points, averaged rotations, who is placed, and an order for walking."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from registration_samples import PIXEL, random_pose, seen, unit, world_points
+from registration_samples import PIXEL, chain, edges_of
 
-from omnisyn_cli.geometry.pose import Pose, rotation_angle
-from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.least_squares import Uncertainty, relative_pose
+from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.poses.registration.pose_graph import (
-    Edge,
     average_rotations,
     baseline_lengths,
+    consistent_edges,
     placed_panoramas,
     positions_of,
     shortest_path,
 )
-from omnisyn_cli.poses.registration.robust import Estimate
-
-SPACING = (0.4, 1.3, 0.7, 2.0)
-
-
-def chain() -> list[Pose]:
-    rng = np.random.default_rng(0)
-    along = np.concatenate([[0.0], np.cumsum(SPACING)])
-    return [Pose(random_pose(rng).rotation, np.array([x, 0.02 * x, 0.0])) for x in along]
-
-
-def edges_of(poses: list[Pose], pairs: list[tuple[int, int]], noise: float = 0.0) -> list[Edge]:
-    """Pairs that all see the same points; ``noise`` is radians of each direction, the same in all pairs."""
-    rng = np.random.default_rng(1)
-    points = world_points(rng, 300)
-    directions = [seen(pose, pose, points).first for pose in poses]
-    directions = [unit(each + rng.normal(size=each.shape) * noise) for each in directions]
-    return [
-        Edge(a, b, Estimate(relative_pose(poses[a], poses[b]), np.ones(300, bool), 0.0, Uncertainty(0.0, 0.0), False),
-             Matches(directions[a], directions[b], PIXEL))
-        for a, b in pairs
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.2 * PIXEL])
@@ -59,6 +38,18 @@ def test_a_set_is_placed_as_it_stands():
     for k in range(5):
         assert rotation_angle((poses[0].rotation.T @ poses[k].rotation).T @ rotations[k]) < 1e-6
         np.testing.assert_allclose(found[k], poses[0].rotation.T @ poses[k].position, atol=5e-3)
+
+
+def test_a_pair_that_contradicts_the_others_is_dropped():
+    """A room that looks alike from two sides: it is half turned, and all its matches agree."""
+    poses, pairs = chain(), [(0, 1), (1, 2), (2, 3), (3, 4), (0, 2), (1, 3), (2, 4)]
+    *right, wrong = edges_of(poses, [*pairs, (0, 4)])
+    half_turned = Pose(rotation_from_rotation_vector(np.pi * UP), np.zeros(3)) @ wrong.estimate.first_from_second
+    wrong = replace(wrong, estimate=replace(wrong.estimate, first_from_second=half_turned))
+    rotations = average_rotations([*right, wrong], range(5))
+    assert consistent_edges([*right, wrong], rotations) == right
+    for k in range(5):
+        assert rotation_angle((poses[0].rotation.T @ poses[k].rotation).T @ rotations[k]) < np.radians(0.01)
 
 
 def test_who_is_connected_with_nobody_is_not_placed():

@@ -114,12 +114,20 @@ class PoseDocument(Model):
     links: list[LinkEntry] | None = None
 
 
+class UncertaintyEntry(Model):
+    """One standard deviation relative to the entry before; per cent of the distance between both."""
+
+    rotation_deg: Annotated[float, Field(ge=0)]
+    position_percent: Annotated[float, Field(ge=0)] | None = None
+
+
 class RigidEntry(Model):
     """A pose in metres."""
 
     position: Vector | None = None
     rotation: Quaternion | None = None
     matrix: Matrix | None = None
+    uncertainty: UncertaintyEntry | None = None
     depth: File | None = None
     mask: File | None = None
     title: Text = ""

@@ -22,8 +22,9 @@ from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
-from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, distinct_names
+from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.floor import floor_distance
+from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
 from omnisyn_cli.poses.registration.gravity import find_vertical
@@ -32,11 +33,12 @@ from omnisyn_cli.poses.registration.pose_graph import (
     Edge,
     average_rotations,
     baseline_lengths,
+    consistent_edges,
     placed_panoramas,
     positions_of,
     shortest_path,
 )
-from omnisyn_cli.poses.registration.robust import inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 from omnisyn_cli.poses.registration.scan import Scan, likeness, register_pair, scan_panorama
 from omnisyn_cli.types import View
 
@@ -135,11 +137,12 @@ def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOp
     for pair in check_poses(images, pose_file, options):
         first, second = (pose_file.of(image).pose for image in (pair.first, pair.second))
         relative = first.inverse() @ second
+        former, name = (pose_file.name_of(image) for image in (pair.first, pair.second))
         if pair.diagnosis.is_refinable and pair.diagnosis.estimate is not None:
             found = pair.diagnosis.estimate.first_from_second
             relative = Pose(found.rotation, found.position * np.linalg.norm(relative.position))
+            entries[name] = replace(entries[name], uncertainty=_of_pair(pair.diagnosis.estimate))
             changed += 1
-        former, name = (pose_file.name_of(image) for image in (pair.first, pair.second))
         entries[name] = replace(entries[name], pose=entries[former].pose @ relative)
         notes.append(f"{pair.first.name} and {pair.second.name}: {_refinement_note(pair.diagnosis)}")
     return FoundPoses(entries if changed else pose_file.panoramas, tuple(notes), changed)
@@ -170,16 +173,18 @@ def estimate_poses(
     _check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     scans = list(_scans(images, options or PictureOptions()))
-    edges, tried = _matched_edges(scans, is_ordered=not finds_order)
+    matched, tried = _matched_edges(scans, is_ordered=not finds_order)
+    rotations = average_rotations(matched, placed_panoramas(matched, len(images)))
+    edges = consistent_edges(matched, rotations)
     placed = placed_panoramas(edges, len(images))
     left_out = [image for k, image in enumerate(images) if k not in placed]
     if len(placed) < 2 or (left_out and must_place_all):
         raise _unplaced(images, placed, tried)
     edges = [edge for edge in edges if edge.first in placed]
-    rotations = average_rotations(edges, placed)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
-    found = positions_of(edges, *baseline_lengths(edges, given), rotations)
-    world, level_note = _levelled({k: Pose(rotations[k], found[k]) for k in placed}, scans)
+    found = positions_of(edges, *baseline_lengths(edges, given), {k: rotations[k] for k in placed})
+    adjusted = adjust({k: Pose(rotations[k], found[k]) for k in placed}, edges, given)
+    world, level_note = _levelled(adjusted.poses, scans)
     order = shortest_path({k: pose.position for k, pose in world.items()}, edges) if finds_order else placed
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     world = {k: Pose(pose.rotation, scale * pose.position) for k, pose in world.items()}
@@ -187,14 +192,21 @@ def estimate_poses(
     notes = [f"{images[placed[0]].name} is at the origin; {level_note}", scale_note]
     neighbours = {frozenset(pair) for pair in pairwise(order)}
     shown = [edge for edge in edges if {edge.first, edge.second} in neighbours]
-    notes += [f"{images[e.first].name} and {images[e.second].name}: {_estimate_note(e)}" for e in shown]
+    known = {pair: _relative_uncertainty(*pair, edges, adjusted) for pair in pairwise(order)}
+    for edge in shown:
+        ends = edge.first, edge.second
+        note = _estimate_note(edge, known.get(ends) or known[ends[::-1]])
+        notes.append(f"{' and '.join(images[k].name for k in ends)}: {note}")
     if len(edges) > len(shown):
         notes.append(f"{len(edges) - len(shown)} other pairs match as well and are taken into account")
+    if contradictions := sum(edge.first in placed for edge in matched) - len(edges):
+        notes.append(f"{contradictions} more match, but contradict the others and are not used")
     if left_out:
         notes.append(f"left out, as nothing tells where they are: {', '.join(image.name for image in left_out)}")
     if finds_order:
         notes.append(f"order: {', '.join(images[k].name for k in order)}")
-    entries = {names[k]: PosedPanorama(world[k]) for k in order}
+    spreads = [None, *known.values()]
+    entries = {names[k]: PosedPanorama(world[k], uncertainty=spread) for k, spread in zip(order, spreads, strict=True)}
     return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order))
 
 
@@ -345,15 +357,27 @@ def _usable_picture(
     return panorama.image, usable
 
 
-def _estimate_note(edge: Edge) -> str:
-    estimate = edge.estimate
-    agreed = f"{edge.weight} of {len(estimate.inliers)} matches agree"
-    if estimate.have_same_position:
+def _relative_uncertainty(first: int, second: int, edges: Sequence[Edge], adjusted: Adjustment) -> PoseUncertainty:
+    if len(adjusted.poses) == 2:
+        return _of_pair(edges[0].estimate)
+    rotation, position = adjusted.relative_std(first, second)
+    return PoseUncertainty(rotation, position if math.isfinite(position) else None)
+
+
+def _of_pair(estimate: Estimate) -> PoseUncertainty:
+    """Of a pair whose distance is given: only its direction is uncertain."""
+    spread = estimate.uncertainty
+    return PoseUncertainty(spread.rotation, None if estimate.have_same_position else math.tan(spread.direction))
+
+
+def _estimate_note(edge: Edge, spread: PoseUncertainty) -> str:
+    agreed = f"{edge.weight} of {len(edge.estimate.inliers)} matches agree"
+    if spread.position is None:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
-    spread = np.degrees([estimate.residual, estimate.uncertainty.rotation, estimate.uncertainty.direction])
+    residual, rotation = np.degrees([edge.estimate.residual, spread.rotation])
     return (
-        f"{agreed} within {spread[0]:.3f}° (median); rotation ± {spread[1]:.3f}°, direction ± {spread[2]:.3f}° "
-        f"({100.0 * math.tan(estimate.uncertainty.direction):.2f} % of the baseline)"
+        f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, position ± "
+        f"{100.0 * spread.position:.2g} % of the baseline"
     )
 
 

@@ -8,6 +8,7 @@ names that a tour leads between, see :mod:`omnisyn_cli.poses.tour_file`.
 
 import difflib
 import json
+import math
 import os
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,6 +35,7 @@ from omnisyn_cli.poses.entries import (
 __all__ = [
     "POSES_NAME",
     "PoseFile",
+    "PoseUncertainty",
     "PosedPanorama",
     "check_companions_named",
     "check_names_tell_apart",
@@ -57,6 +59,19 @@ MAX_FILE_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
+class PoseUncertainty:
+    """How well a pose is known relative to that of the entry before: one standard deviation.
+
+    Attributes:
+        rotation: radians.
+        position: share of the distance between both, or None where they stand in one place.
+    """
+
+    rotation: float
+    position: float | None
+
+
+@dataclass(frozen=True)
 class PosedPanorama:
     """One panorama's entry.
 
@@ -65,6 +80,7 @@ class PosedPanorama:
         depth: its depth file, or None.
         mask: its mask file, or None.
         title, caption: what a tour calls it and says of it; empty where the file says nothing.
+        uncertainty: where the pose comes from pictures and the entry is not the first, else None.
     """
 
     pose: Pose
@@ -72,6 +88,7 @@ class PosedPanorama:
     mask: Path | None = None
     title: str = ""
     caption: str = ""
+    uncertainty: PoseUncertainty | None = None
 
 
 @dataclass(frozen=True)
@@ -214,7 +231,9 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     for name, entry in entries.items():
         pose = pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
         files = {key: _companion(path, name, key, getattr(entry, key), allow_outside) for key in ("depth", "mask")}
-        panoramas[name] = PosedPanorama(pose, **files, title=entry.title, caption=entry.caption)
+        panoramas[name] = PosedPanorama(
+            pose, **files, title=entry.title, caption=entry.caption, uncertainty=_uncertainty(entry)
+        )
     return PoseFile(path, panoramas, _links(path, document, panoramas), origin is not None)
 
 
@@ -224,6 +243,13 @@ def _links(path: Path, document: PoseDocument, known: Iterable[str]) -> tuple[tu
     if missing := [name for link in document.links for name in link if name not in known]:
         raise PoseError(f"{path}: links: expected names of panoramas, got {listed(missing)}; they have no entry")
     return tuple((first, second) for first, second in document.links)
+
+
+def _uncertainty(entry: RigidEntry | GeographicEntry) -> PoseUncertainty | None:
+    if not isinstance(entry, RigidEntry) or entry.uncertainty is None:
+        return None
+    percent = entry.uncertainty.position_percent
+    return PoseUncertainty(math.radians(entry.uncertainty.rotation_deg), None if percent is None else percent / 100.0)
 
 
 def _companion(path: Path, name: str, key: str, file: str | None, allow_outside: bool) -> Path | None:
@@ -271,7 +297,18 @@ def _entry_values(path: Path, name: str, panorama: PosedPanorama, allow_outside:
     rotation = quaternion_from_rotation(rigid_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
     pose = {"position": panorama.pose.position.tolist(), "rotation": rotation.tolist()}
     words = {key: text for key, text in (("title", panorama.title), ("caption", panorama.caption)) if text}
-    return {**pose, **_companion_names(path, name, panorama, allow_outside), **words}
+    known = _uncertainty_values(panorama.uncertainty)
+    return {**pose, **known, **_companion_names(path, name, panorama, allow_outside), **words}
+
+
+def _uncertainty_values(uncertainty: PoseUncertainty | None) -> dict[str, dict[str, float]]:
+    """With two digits: an uncertainty is not known better."""
+    if uncertainty is None:
+        return {}
+    values = {"rotation_deg": math.degrees(uncertainty.rotation)}
+    if uncertainty.position is not None:
+        values["position_percent"] = 100.0 * uncertainty.position
+    return {"uncertainty": {key: float(f"{value:.2g}") for key, value in values.items()}}
 
 
 def _companion_names(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:

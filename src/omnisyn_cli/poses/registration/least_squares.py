@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector, rotation_taking
 from omnisyn_cli.geometry.sphere import normalize
@@ -61,6 +61,14 @@ def angle_between(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
+def sphere_cells(
+    directions: Float[np.ndarray, "n 3"], side: float
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " cells"]]:
+    """The cell that each direction lies in, and how many lie in each; cells have a ``side`` in radians."""
+    _, cell, count = np.unique(np.floor(directions / side), axis=0, return_inverse=True, return_counts=True)
+    return cell.ravel(), count
+
+
 def rotation_error(pose: Pose, truth: Pose) -> float:
     """Radians between the rotations of two relative poses."""
     return float(rotation_angle(truth.rotation.T @ pose.rotation))
@@ -83,10 +91,14 @@ MAD_TO_STD = 1.4826
 MIN_NOISE = 1e-7
 """Radians; no residual is weighted as if it were better than this."""
 
+JACKKNIFE_ANGLE = math.radians(20.0)
+"""Side of the cells that are left out. Over 47 generated pairs the errors are 1.1 times the stated deviations in their
+quadratic mean; with 5° it is 1.5, and if all matches err independently 4."""
+
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations in radians, in the direction in which they are largest."""
+    """Standard deviations of the whole error: the root of the mean square of its angle, in radians."""
 
     rotation: float
     direction: float
@@ -135,14 +147,33 @@ def robust_chi_squared(pose: Pose, matches: Matches, noise: float) -> float:
 
 
 def uncertainty(pose: Pose, matches: Matches) -> Uncertainty:
-    """How well matches that fit determine rotation and direction; infinite where they do not."""
-    jacobian = _jacobian(pose, matches)
-    hessian, _ = _normal_equations(jacobian, np.zeros(len(matches)), np.ones(len(matches)))
-    if np.linalg.cond(hessian) > 1e14:  # singular in float64
-        return Uncertainty(np.inf, np.inf)
-    covariance = noise_std(pose, matches) ** 2 * np.linalg.inv(hessian)
-    largest = [float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in (covariance[:3, :3], covariance[3:, 3:])]
-    return Uncertainty(*largest)
+    """How well matches that fit determine rotation and direction; infinite where they do not.
+
+    The matches of one thing err together, so whole cells of the sphere are left out in turn (a jackknife). Cells are
+    those of either panorama, whichever makes the estimate less certain.
+
+    Source: Cameron, Gelbach and Miller, Bootstrap-based improvements for inference with clustered errors, 2008.
+    """
+    jacobian, residual = _jacobian(pose, matches), epipolar_residual(pose, matches)
+    variances = [
+        _jackknife_variances(jacobian, residual, sphere_cells(directions, JACKKNIFE_ANGLE)[0])
+        for directions in (matches.first, matches.second)
+    ]
+    return Uncertainty(*np.sqrt(np.max(variances, axis=0)).tolist())
+
+
+def _jackknife_variances(jacobian: np.ndarray, residual: np.ndarray, cell: np.ndarray) -> tuple[float, float]:
+    """Summed variances of the three numbers of the rotation and the two of the direction."""
+    counts = int(cell.max(initial=0)) + 1
+    hessians, gradients = np.zeros((counts, 5, 5)), np.zeros((counts, 5))
+    np.add.at(hessians, cell, jacobian[:, :, None] * jacobian[:, None, :])
+    np.add.at(gradients, cell, jacobian * residual[:, None])
+    without = hessians.sum(axis=0) - hessians
+    if counts < 2 or np.linalg.cond(without).max() > 1e14:  # singular in float64
+        return math.inf, math.inf
+    moved = np.linalg.solve(without, gradients[..., None])[..., 0]
+    variances = (counts - 1) / counts * np.sum(moved**2, axis=0)
+    return float(variances[:3].sum()), float(variances[3:].sum())
 
 
 def _tangent(direction: np.ndarray) -> np.ndarray:

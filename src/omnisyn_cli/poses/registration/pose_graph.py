@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.pose import Pose, nearest_rotation
+from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_angle
 from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.robust import Estimate
 
@@ -38,6 +38,11 @@ UNTOLD_WEIGHT = 1e-4
 
 AVERAGING_ROUNDS = 50
 """Of rotation averaging, each over all panoramas; a chain needs none."""
+
+CONTRADICTION_ANGLE = math.radians(3.0)
+"""Radians off the mean at which a pair has a quarter of its weight and from which on it contradicts the others.
+
+Right pairs are off by tenths of a degree."""
 
 
 @dataclass(frozen=True)
@@ -70,22 +75,30 @@ class Edge:
 
 def placed_panoramas(edges: Sequence[Edge], count: int) -> list[int]:
     """The largest set of panoramas that are connected with each other; that of the first one among equals."""
+    group = connected_with(edges, count)
+    largest = max(group, key=lambda label: (group.count(label), -label))
+    return [panorama for panorama in range(count) if group[panorama] == largest]
+
+
+def connected_with(edges: Sequence[Edge], count: int) -> list[int]:
+    """The lowest of the panoramas that each one is connected with."""
     group = list(range(count))
     for edge in edges:
         old, new = sorted((group[edge.first], group[edge.second]), reverse=True)
         group = [new if label == old else label for label in group]
-    largest = max(group, key=lambda label: (group.count(label), -label))
-    return [panorama for panorama in range(count) if group[panorama] == largest]
+    return group
 
 
 def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int, Float[np.ndarray, "3 3"]]:
     """World-from-camera rotations; the first placed panorama has the identity.
 
-    They start along the strongest pairs and then move to the mean of what all neighbours say.
+    They start along the strongest pairs and then move to the mean of what all neighbours say. Pairs that contradict the
+    others lose their weight.
 
     Source: Hartley et al., Rotation averaging, IJCV 2013 (chordal mean).
     """
     rotations = {placed[0]: np.eye(3)}
+    edges = [edge for edge in edges if edge.first in placed]
     while len(rotations) < len(placed):
         leading = [e for e in edges if (e.first in rotations) != (e.second in rotations)]
         edge = max(leading, key=lambda e: e.weight)
@@ -95,12 +108,25 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
         for panorama in placed[1:]:
             own = [edge for edge in edges if panorama in (edge.first, edge.second)]
             others = [edge.second if edge.first == panorama else edge.first for edge in own]
-            said = [
-                edge.weight * rotations[other] @ edge.seen_from(other)[0].rotation
-                for edge, other in zip(own, others, strict=True)
-            ]
-            rotations[panorama] = nearest_rotation(np.sum(said, axis=0))
+            said = np.stack(
+                [rotations[other] @ edge.seen_from(other)[0].rotation for edge, other in zip(own, others, strict=True)]
+            )
+            off = rotation_angle(np.swapaxes(said, 1, 2) @ rotations[panorama])
+            weight = np.array([edge.weight for edge in own]) / (1.0 + (off / CONTRADICTION_ANGLE) ** 2) ** 2
+            rotations[panorama] = nearest_rotation(np.einsum("n,nij->ij", weight, said))
     return rotations
+
+
+def consistent_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray]) -> list[Edge]:
+    """Those between panoramas with averaged rotations that agree with them: a room may look alike from two sides."""
+    return [
+        edge
+        for edge in edges
+        if edge.first in rotations
+        and rotation_angle(
+            rotations[edge.first].T @ rotations[edge.second] @ edge.estimate.first_from_second.rotation.T
+        ) < max(CONTRADICTION_ANGLE, 3.0 * edge.estimate.uncertainty.rotation)
+    ]  # fmt: skip
 
 
 def baseline_lengths(

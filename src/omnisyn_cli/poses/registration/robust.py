@@ -22,6 +22,7 @@ from omnisyn_cli.poses.registration.least_squares import (
     epipolar_residual,
     is_in_front,
     refine_pose,
+    sphere_cells,
     uncertainty,
 )
 from omnisyn_cli.poses.registration.minimal_solvers import (
@@ -136,11 +137,11 @@ def estimate_relative_pose(
     count, in_place = int(inliers.sum()), int((turned < scale).sum())
     is_turn = in_place >= max(MIN_TURN_INLIERS, MIN_INLIER_SHARE * len(matches))
     if count < MIN_INLIER_SHARE * len(matches) or _log_false_alarms(pose, matches, verticals) > MAX_LOG_FALSE_ALARMS:
-        return _in_place(rotation, turned, scale) if is_turn else None
+        return _in_place(matches, rotation, turned, scale) if is_turn else None
     agreed = matches.select(inliers)
     spread = uncertainty(pose, agreed)
     if in_place >= MIN_ROTATION_ONLY_SHARE * count or spread.direction > MAX_DIRECTION_STD:
-        return _in_place(rotation, turned, scale) if is_turn else None
+        return _in_place(matches, rotation, turned, scale) if is_turn else None
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
     return Estimate(pose, inliers, residual, spread, have_same_position=False)
 
@@ -156,10 +157,10 @@ def support_mask(first_from_second: Pose, matches: Matches, scale: float) -> Boo
     return np.asarray(is_near & is_in_front(first_from_second, matches, scale))
 
 
-def _in_place(rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimate:
+def _in_place(matches: Matches, rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimate:
     inliers = turned < scale
     residual = float(np.median(turned[inliers]))
-    spread = Uncertainty(residual / np.sqrt(inliers.sum()), np.inf)
+    spread = Uncertainty(2.0 * residual / np.sqrt(_count_distinct(matches.select(inliers))), np.inf)
     return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, have_same_position=True)
 
 
@@ -191,8 +192,7 @@ def _agrees_with(pose: Pose, verticals: Verticals) -> bool:
 
 def _count_distinct(matches: Matches) -> int:
     """Matches that are no repetition of others in either panorama."""
-    cells = (np.floor(directions / DISTINCT_ANGLE) for directions in (matches.first, matches.second))
-    return min(len(np.unique(cell, axis=0)) for cell in cells)
+    return min(len(sphere_cells(each, DISTINCT_ANGLE)[1]) for each in (matches.first, matches.second))
 
 
 def _log_binomial(n: int, k: int) -> float:
@@ -257,9 +257,8 @@ def _crowd_weight(matches: Matches) -> Float[np.ndarray, " n"]:
     """Weights that sum to the number of matches, smaller where many lie together in either panorama."""
     crowd = np.ones(len(matches))
     for directions in (matches.first, matches.second):
-        cells = np.floor(directions / CROWDED_ANGLE)
-        _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-        crowd = np.maximum(crowd, count[cell.ravel()])
+        cell, count = sphere_cells(directions, CROWDED_ANGLE)
+        crowd = np.maximum(crowd, count[cell])
     weight = 1.0 / crowd
     return np.asarray(weight * (len(matches) / weight.sum()))
 
