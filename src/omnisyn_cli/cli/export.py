@@ -23,7 +23,10 @@ from omnisyn_cli.cli.terminal import say
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.export import ExportSummary
 
-FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
+VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")
+"""Those of sites."""
+
+FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
 """Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
 
 
@@ -31,18 +34,18 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 @tour_options
 @click.option(
     "-o", "--output", type=FilePath(),
-    help="File (.glb, .ply), or folder for colmap and nerfstudio.  [default: FOLDER or A-C with the format's ending, "
-    "here]",
+    help="File (.glb, .ply), or folder for all other formats.  [default: FOLDER or A-C with the format's ending, here]",
 )  # fmt: skip
 @click.option(
     "--format", type=click.Choice(FORMATS),
     help="glb: a textured mesh, for Blender and model-viewer. ply: points. splats: flat discs as Gaussian splats, for "
     "SuperSplat. colmap: two models with depth, of panoramas and of six faces. nerfstudio: transforms.json with depth. "
+    "pannellum, photo-sphere-viewer, marzipano, krpano: a site with links for that viewer. "
     " [default: by the output's ending, else glb]",
 )  # fmt: skip
 @click.option(
     "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096, show_default=True,
-    help="Maximum width of the textures in a GLB.",
+    help="Maximum width of the textures in a GLB, and of panoramas in a site.",
 )  # fmt: skip
 @click.option(
     "--stride",
@@ -104,5 +107,7 @@ def _said(summary: ExportSummary) -> str:
         what = f"{summary.triangles:,} triangles"
     elif plan.format == "splats":
         what = f"{summary.points:,} discs"
+    elif plan.format in VIEWERS:
+        what = f"{summary.links:,} links"
     count = len(plan.entries)
     return f"{plan.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"

@@ -15,13 +15,16 @@ from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
+from omnisyn_cli.interpolation.export.site_writer import write_site
 from omnisyn_cli.interpolation.export.triangulation import textured_mesh
+from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from omnisyn_cli.interpolation.job import TourJob
 from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
+from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats import foreign_from_pose
@@ -36,6 +39,9 @@ POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
 
 PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
 """Bytes of a point and of a disc in a file."""
+
+READING_BYTES, LEVELLING_BYTES = 3 * 15.0, 9.0
+"""Of each pixel of a panorama while it is read, with the one before; of each while it is made level."""
 
 
 class Format(NamedTuple):
@@ -64,6 +70,7 @@ FORMATS: Mapping[str, Format] = {
     "splats": Format(".ply", "-y", 1, sky=True, point=PLY_SPLAT_BYTES),
     "colmap": Format("", "-y", 4, sky=False, point=PLY_POINT_BYTES, writing=37),
     "nerfstudio": Format("", "z", 4, sky=False, point=PLY_POINT_BYTES, writing=20),
+    **{name: Format("", "y", 1, sky=True) for name in VIEWERS},
 }
 """By name. A ``.ply`` without a name is points."""
 
@@ -80,7 +87,7 @@ class ExportJob(TourJob):
 
     Attributes:
         format: one of :data:`FORMATS`; None goes by the ending of the output.
-        texture: columns of the largest texture of a GLB; larger panoramas are reduced.
+        texture: columns of the largest texture of a GLB and of panoramas of a site; larger panoramas are reduced.
         stride: pixels of the depth between points; None is the format's.
         sky: whether what is infinitely far is shown, on the dome; None is the format's.
         dome: metres around each panorama beyond which everything lies on one sphere.
@@ -91,6 +98,11 @@ class ExportJob(TourJob):
     stride: Annotated[int, Ge(1)] | None = None
     sky: bool | None = None
     dome: Annotated[float, Gt(0)] = 200.0
+
+    @property
+    def follows_links(self) -> bool:
+        """For sites, whose links need not be those of a chain."""
+        return self.format in VIEWERS
 
 
 @dataclass(frozen=True)
@@ -108,11 +120,21 @@ class ExportPlan(TourPlan):
     sky: bool
 
     @property
+    def has_depth(self) -> bool:
+        """Whether depth has to be found."""
+        return self.format not in VIEWERS or VIEWERS[self.format].has_depth
+
+    @property
     def memory(self) -> int:
         """Bytes that it will take, estimated."""
-        chosen = FORMATS[self.format]
+        chosen, columns = FORMATS[self.format], self.job.texture
+        if not self.has_depth:
+            return int(
+                max(height * width for height, width in self.source_sizes) * READING_BYTES
+                + LEVELLING_BYTES * columns**2 / 2
+            )
         if chosen.point == 0:
-            footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)
+            footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=columns)
         else:
             spread = POINTS_PER_VERTEX / self.stride**2
             footprint = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
@@ -133,18 +155,20 @@ class ExportSummary(TourSummary):
     Attributes:
         points: that were written: of a cloud or a data set.
         triangles: of a mesh.
+        links: between the panoramas of a site.
     """
 
     plan: ExportPlan
     points: int = 0
     triangles: int = 0
+    links: int = 0
 
     advice: ClassVar[str] = "name depth files in the poses"
 
     @property
     def results(self) -> dict[str, Any]:
         """How much was written."""
-        return {"points": self.points, "triangles": self.triangles}
+        return {"points": self.points, "triangles": self.triangles, "links": self.links}
 
 
 def plan_export(job: ExportJob) -> ExportPlan:
@@ -164,8 +188,13 @@ def plan_export(job: ExportJob) -> ExportPlan:
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
-    notes = list(tour.notes)
-    if tour.config.estimates_depth:
+    notes, has_depth = list(tour.notes), name not in VIEWERS or VIEWERS[name].has_depth
+    if name in VIEWERS:
+        notes.append(f"the viewer is not part of the site, get it: {VIEWERS[name].advice(output)}")
+        lonely = [panorama.name for panorama in tour.tour.panoramas if not tour.tour.neighbours[panorama.name]]
+        if has_depth and lonely:
+            raise InputError(f"expected links to every panorama, got none to {listed(lonely)}; add some (tour.json)")
+    if tour.config.estimates_depth and has_depth:
         notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(tour)]
     return ExportPlan(
         job, tour.entries, tour.source_sizes, tour.config, tuple(notes), tour.tour, name, job.stride or chosen.stride,
@@ -220,6 +249,10 @@ def run_export(
             if on_panorama:
                 on_panorama(done)
 
+    if plan.format in VIEWERS:
+        found = tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock) if plan.has_depth else None
+        links = write_site(plan, plan.format, plan.job.texture, plan.job.dome, found, clock, on_panorama)
+        return ExportSummary(plan, clock.with_total(), pairs, left_out, links=links)
     write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
     points, triangles = write(plan, surfaces(), clock)
     return ExportSummary(plan, clock.with_total(), pairs, left_out, points, triangles)

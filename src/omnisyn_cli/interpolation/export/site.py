@@ -1,0 +1,207 @@
+"""A tour as viewers of panoramas want it: level pictures that all look north, marks by yaw and pitch."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_angle
+from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_angles, pixel_to_direction
+from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
+from omnisyn_cli.types import View
+
+PICTURES, DEPTH, HOTSPOTS = "panoramas", "depth", "hotspots"
+"""Folders of a site."""
+
+REMAP_ROWS = 256
+"""Rows that are made level at once: tables for whole panoramas would take many times their memory."""
+
+LEVEL_TOLERANCE = 1e-4
+"""Radians by which a panorama may be turned and count as level and looking north: a third of a pixel of 16384."""
+
+DEPTH_ROWS, DEPTH_COLS = 128, 256
+"""Steps of the grid of a depth model; its vertices have to be fewer than 65,536."""
+
+SAME_PLACE_PITCH = math.radians(-30.0)
+"""Where the mark of a panorama is shown that was taken at the very same place: below, so that it hides little."""
+
+
+@dataclass(frozen=True)
+class SiteMark:
+    """A place in a panorama that one can click.
+
+    Attributes:
+        text: what it says.
+        yaw, pitch: radians to the right of north (−z of the world), and above the horizon.
+        position: place in the world in metres, or None where only the direction is known.
+        target: identity of the panorama that it leads to, or None.
+        link: an address that it leads to, or None.
+        image: a picture that it shows, relative to the site, or None.
+    """
+
+    text: str
+    yaw: float
+    pitch: float
+    position: Float[np.ndarray, " 3"] | None = None
+    target: str | None = None
+    link: str | None = None
+    image: str | None = None
+
+
+@dataclass(frozen=True)
+class SitePanorama:
+    """A panorama of a site; it is level, and its centre looks north.
+
+    Attributes:
+        identity: unlike those of all others, of letters, digits, ``_`` and ``-``.
+        title, caption: for people.
+        picture: file, relative to the site.
+        position: in the world, metres.
+        yaw, pitch: radians of the first view, if one begins there.
+        marks: links to other panoramas, then hotspots.
+    """
+
+    identity: str
+    title: str
+    caption: str
+    picture: str
+    position: Float[np.ndarray, " 3"]
+    yaw: float
+    pitch: float
+    marks: tuple[SiteMark, ...]
+
+
+@dataclass(frozen=True)
+class Site:
+    """All that a viewer is told.
+
+    Attributes:
+        title: of the tour.
+        panoramas: in the order of the tour.
+        start: identity of the first one.
+        fov: radians that are seen from top to bottom at the start; None leaves it to the viewer.
+    """
+
+    title: str
+    panoramas: tuple[SitePanorama, ...]
+    start: str
+    fov: float | None
+
+    @property
+    def links(self) -> int:
+        """Ways between panoramas; each leads in both directions."""
+        return sum(mark.target is not None for panorama in self.panoramas for mark in panorama.marks) // 2
+
+
+def site_of(tour: Tour, identities: Mapping[str, str], images: Mapping[Path, str]) -> Site:
+    """The site of a tour.
+
+    Args:
+        tour: the tour.
+        identities: of the panoramas, by their names.
+        images: where the site has the pictures of hotspots.
+    """
+    panoramas = tuple(_panorama(tour, panorama, identities, images) for panorama in tour.panoramas)
+    return Site(tour.title, panoramas, identities[tour.start.panorama], tour.start.fov)
+
+
+def _panorama(
+    tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], images: Mapping[Path, str]
+) -> SitePanorama:
+    identity, pose = identities[panorama.name], panorama.pose
+    links = tuple(_link(pose, tour.by_name[name], identities[name]) for name in tour.neighbours[panorama.name])
+    hotspots = tuple(_hotspot(pose, hotspot, images) for hotspot in (*panorama.hotspots, *tour.hotspots))
+    yaw, pitch = (links[0].yaw, 0.0) if links else yaw_and_pitch(pose.rotation @ [0.0, 0.0, -1.0])
+    if tour.start.panorama == panorama.name and tour.start.yaw is not None:
+        ahead = angles_to_direction(np.array(tour.start.yaw), np.array(math.radians(90.0) - tour.start.pitch))
+        yaw, pitch = yaw_and_pitch(pose.rotation @ ahead)
+    picture = f"{PICTURES}/{identity}.jpg"
+    return SitePanorama(
+        identity, panorama.title, panorama.caption, picture, pose.position, yaw, pitch, (*links, *hotspots)
+    )
+
+
+def _link(pose: Pose, other: TourPanorama, identity: str) -> SiteMark:
+    if at_same_position(pose, other.pose):
+        return SiteMark(other.title, 0.0, SAME_PLACE_PITCH, target=identity)
+    yaw, pitch = yaw_and_pitch(other.pose.position - pose.position)
+    return SiteMark(other.title, yaw, pitch, other.pose.position, identity)
+
+
+def _hotspot(pose: Pose, hotspot: Hotspot, images: Mapping[Path, str]) -> SiteMark:
+    yaw, pitch = yaw_and_pitch(pose.rotation @ hotspot.direction_from(pose))
+    image = None if hotspot.image is None else images[hotspot.image]
+    return SiteMark(hotspot.text, yaw, pitch, hotspot.point, link=hotspot.link, image=image)
+
+
+def yaw_and_pitch(direction: Float[np.ndarray, " 3"]) -> tuple[float, float]:
+    """Radians to the right of −z, and above the horizon."""
+    azimuth, polar_angle = direction_to_angles(np.asarray(direction, float))
+    return float(azimuth), math.radians(90.0) - float(polar_angle)
+
+
+def hotspot_pictures(tour: Tour) -> dict[Path, str]:
+    """Where the site has the picture of each hotspot."""
+    every: Iterable[Hotspot] = (*tour.hotspots, *(spot for panorama in tour.panoramas for spot in panorama.hotspots))
+    pictures = dict.fromkeys(hotspot.image for hotspot in every if hotspot.image is not None)
+    return {picture: f"{HOTSPOTS}/{index:04d}{picture.suffix.lower()}" for index, picture in enumerate(pictures)}
+
+
+def photograph(view: View, columns: int) -> UInt8[np.ndarray, "rows cols 3"]:
+    """The picture of a panorama in 8 bits, at most so many columns wide.
+
+    What is masked is shown where it has been photographed, and painted over where it has not.
+    """
+    picture = usable_image(view, SynthesisOptions(view.image.shape[:2]))
+    if view.shows_masked:
+        picture = view.image if view.image_uint8 is None else view.image_uint8
+    if picture.dtype != np.uint8:
+        picture = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+    columns = min(columns, MAX_REMAP_COLUMNS)
+    if picture.shape[1] <= columns:
+        return picture
+    return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
+
+
+def levelled(
+    picture: UInt8[np.ndarray, "height width 3"], rotation: Float[np.ndarray, "3 3"]
+) -> UInt8[np.ndarray, "height width 3"]:
+    """A panorama as if its camera had stood upright and looked north; ``rotation`` is world-from-camera."""
+    if rotation_angle(rotation) < LEVEL_TOLERANCE:
+        return picture
+    size, col = picture.shape[:2], np.arange(picture.shape[1], dtype=float)[None, :]
+    level = np.empty_like(picture)
+    for begin in range(0, size[0], REMAP_ROWS):
+        row = np.arange(begin, min(begin + REMAP_ROWS, size[0]), dtype=float)[:, None]
+        directions = pixel_to_direction(row, col, size) @ rotation
+        level[begin : begin + REMAP_ROWS] = RemapTable.for_directions(directions, picture.shape).bicubic(picture)
+    return level
+
+
+def depth_model(
+    inverse_depth: Float32[np.ndarray, "rows cols"], rotation: Float[np.ndarray, "3 3"], farthest: float
+) -> tuple[Float[np.ndarray, "vertices 3"], np.ndarray]:
+    """The surface of a levelled panorama as vertices in our axes, metres, and triangles ``(count, 3)``.
+
+    Args:
+        inverse_depth: 1/metre in the frame of the camera; negative where it is not known.
+        rotation: world-from-camera.
+        farthest: metres beyond which, and where nothing is known, the surface is a sphere.
+    """
+    azimuth = math.radians(360.0) * (np.arange(DEPTH_COLS) / DEPTH_COLS - 0.5)
+    polar_angle = math.radians(180.0) * np.arange(DEPTH_ROWS + 1) / DEPTH_ROWS
+    directions = np.asarray(angles_to_direction(azimuth[None, :], polar_angle[:, None]))
+    found = np.asarray(sample_nearest(inverse_depth, directions @ rotation))
+    vertices = directions / np.maximum(found, 1.0 / farthest)[..., None]
+    index = np.arange((DEPTH_ROWS + 1) * DEPTH_COLS).reshape(DEPTH_ROWS + 1, DEPTH_COLS)
+    here, right = index[:-1], np.roll(index, -1, axis=1)[:-1]
+    below, below_right = index[1:], np.roll(index, -1, axis=1)[1:]
+    quads = np.stack([here, below, below_right, here, below_right, right], axis=-1)
+    return vertices.reshape(-1, 3), quads.reshape(-1, 3)

@@ -1,0 +1,286 @@
+"""A site in the words of the viewer that shows it; ``docs/tours.md`` tells users what each of them gets.
+
+Sources: Pannellum, "JSON Configuration File Options"; Photo Sphere Viewer, "VirtualTourPlugin" and "MarkersPlugin";
+Marzipano, "RectilinearView" and what its tool writes; krpano, "XML Reference", "Coordinate Systems", "Depth File
+Format".
+"""
+
+import html
+import json
+import math
+import shlex
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from jaxtyping import Float
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from omnisyn_cli.geometry.sphere import angles_to_direction
+from omnisyn_cli.interpolation.export.site import DEPTH, Site, SiteMark, SitePanorama
+from omnisyn_cli.poses.formats import WORLD_UP
+
+VENDOR = "vendor"
+"""Folder of a site for the viewer's own files, which are not part of it."""
+
+WINDOW_ASPECT = 16 / 9
+"""Width by height of the window for which a vertical field of view becomes a horizontal one."""
+
+PHOTO_SPHERE_VIEWER_FOVS = (30.0, 90.0)
+"""Degrees from top to bottom at its greatest and least zoom, as it has them."""
+
+MARZIPANO_FOV = 75.0
+"""Degrees from top to bottom where nobody says; it has no default of its own."""
+
+CENTIMETRES = 100.0
+"""In a metre: krpano's unit."""
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """What there is to know of a viewer.
+
+    Attributes:
+        document: name of the file that describes the tour, and what makes its text.
+        packages: on npm, with the versions that are known to show it; none where it is not there.
+        has_depth: whether it wants depth.
+    """
+
+    document: tuple[str, Callable[[Site], str]]
+    packages: Mapping[str, str]
+    has_depth: bool = False
+
+    def advice(self, folder: Path) -> str:
+        """How to get its own files."""
+        place = shlex.quote(str(folder / VENDOR))
+        return f"npm install --prefix {place}" if self.packages else f"copy krpano.js of your licence into {place}"
+
+
+def site_files(name: str, site: Site) -> dict[str, bytes]:
+    """The texts of a site by their names: its page, its document, and the list of the viewer's packages."""
+    viewer = VIEWERS[name]
+    document, text_of = viewer.document
+    packages = {"private": True, "description": f"{name}, for the page in the folder above"}
+    page = _templates().get_template(f"{name}.html").render(title=site.title)
+    return {
+        "index.html": page.encode(),
+        document: text_of(site).encode(),
+        f"{VENDOR}/package.json": _json({**packages, "dependencies": dict(viewer.packages)}).encode(),
+    }
+
+
+@cache
+def _templates() -> Environment:
+    loader = PackageLoader("omnisyn_cli.interpolation.export", "web")
+    return Environment(loader=loader, undefined=StrictUndefined, autoescape=True)
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _pannellum(site: Site) -> str:
+    """Its configuration; yaw and pitch in degrees."""
+    scenes = {panorama.identity: _pannellum_scene(panorama) for panorama in site.panoramas}
+    if site.fov is not None:
+        hfov = 2.0 * math.degrees(math.atan(WINDOW_ASPECT * math.tan(site.fov / 2.0)))
+        scenes[site.start]["hfov"] = round(hfov, 3)
+    first = {"firstScene": site.start, "autoLoad": True, "sceneFadeDuration": 800, "ignoreGPanoXMP": True}
+    return _json({"escapeHTML": True, "default": {**first, "strings": {"bylineLabel": "%s"}}, "scenes": scenes})
+
+
+def _pannellum_scene(panorama: SitePanorama) -> dict[str, Any]:
+    marks = [_pannellum_mark(mark) for mark in panorama.marks]
+    caption = {"author": panorama.caption} if panorama.caption else {}
+    return {
+        "type": "equirectangular", "panorama": panorama.picture, "title": panorama.title, **caption,
+        **_degrees(panorama), "hotSpots": marks,
+    }  # fmt: skip
+
+
+def _pannellum_mark(mark: SiteMark) -> dict[str, Any]:
+    place = {**_degrees(mark), "text": mark.text}
+    if mark.target is not None:
+        same = {"targetYaw": "sameAzimuth", "targetPitch": "same", "targetHfov": "same"}
+        return {"type": "scene", **place, "sceneId": mark.target, **same}
+    more = {"URL": mark.link, "image": mark.image, "width": 240 if mark.image else None}
+    return {"type": "info", **place, **{key: value for key, value in more.items() if value is not None}}
+
+
+def _photo_sphere_viewer(site: Site) -> str:
+    """Options of the viewer and of its plug-in for tours; angles in radians, texts as HTML."""
+    start = next(panorama for panorama in site.panoramas if panorama.identity == site.start)
+    viewer: dict[str, Any] = {"defaultYaw": start.yaw, "defaultPitch": start.pitch}
+    if site.fov is not None:
+        least, greatest = PHOTO_SPHERE_VIEWER_FOVS
+        greatest = max(greatest, math.degrees(site.fov))
+        level = 100.0 * (greatest - math.degrees(site.fov)) / (greatest - least)
+        viewer |= {"minFov": least, "maxFov": greatest, "defaultZoomLvl": min(max(level, 0.0), 100.0)}
+    nodes = [_photo_sphere_viewer_node(panorama) for panorama in site.panoramas]
+    tour = {"positionMode": "manual", "renderMode": "2d", "startNodeId": site.start, "nodes": nodes}
+    return _json({"viewer": viewer, "virtualTour": tour})
+
+
+def _photo_sphere_viewer_node(panorama: SitePanorama) -> dict[str, Any]:
+    title, caption = html.escape(panorama.title), html.escape(panorama.caption)
+    links = [{"nodeId": mark.target, "position": _radians(mark)} for mark in panorama.marks if mark.target is not None]
+    marks = [mark for mark in panorama.marks if mark.target is None]
+    markers = [
+        {"id": f"{panorama.identity}-{index}", "position": _radians(mark), **_photo_sphere_viewer_mark(mark)}
+        for index, mark in enumerate(marks)
+    ]
+    named = {"name": title, "caption": f"<b>{title}</b> {caption}".strip()}
+    return {"id": panorama.identity, "panorama": panorama.picture, **named, "links": links, "markers": markers}
+
+
+def _photo_sphere_viewer_mark(mark: SiteMark) -> dict[str, Any]:
+    text = html.escape(mark.text)
+    picture = f'<p><img src="{html.escape(mark.image)}" alt=""></p>' if mark.image else ""
+    link = (
+        f'<p><a href="{html.escape(mark.link)}" target="_blank">{html.escape(mark.link)}</a></p>' if mark.link else ""
+    )
+    shown = {"html": '<span class="mark">i</span>', "anchor": "center center", "tooltip": text}
+    return {**shown, **({"content": f"<h1>{text}</h1>{picture}{link}"} if picture or link else {})}
+
+
+def _marzipano(site: Site) -> str:
+    """As Marzipano's own tool describes tours; radians, and pitch grows downwards."""
+    fov = math.radians(MARZIPANO_FOV) if site.fov is None else site.fov
+    scenes = [_marzipano_scene(panorama, fov) for panorama in site.panoramas]
+    return _json({"name": site.title, "start": site.start, "scenes": scenes})
+
+
+def _marzipano_scene(panorama: SitePanorama, fov: float) -> dict[str, Any]:
+    links = [
+        {**_downwards(mark), "target": mark.target, "title": mark.text}
+        for mark in panorama.marks
+        if mark.target is not None
+    ]
+    infos = [
+        {**_downwards(mark), "title": mark.text, "link": mark.link, "image": mark.image}
+        for mark in panorama.marks
+        if mark.target is None
+    ]
+    return {
+        "id": panorama.identity, "name": panorama.title, "caption": panorama.caption, "panorama": panorama.picture,
+        "initialViewParameters": {**_downwards(panorama), "fov": fov}, "linkHotspots": links, "infoHotspots": infos,
+    }  # fmt: skip
+
+
+def _krpano(site: Site) -> str:
+    """Scenes with their place in the world and a model of their depth; centimetres, x right, y down, z forward."""
+    root = ElementTree.Element("krpano", version="1.21", title=site.title)
+    for name, (more, code) in KRPANO_ACTIONS.items():
+        ElementTree.SubElement(root, "action", {"name": name, **more}).text = code.format(start=f"scene_{site.start}")
+    ElementTree.SubElement(root, "display", depthmaprendermode="3dmodel")
+    ElementTree.SubElement(root, "events", name="omnisyn", keep="true", onnewscene="omnisyn_caption();")
+    ElementTree.SubElement(root, "layer", name="omnisyn_caption", type="text", keep="true", align="bottom", y="12")
+    ElementTree.SubElement(root, "style", name="omnisyn_mark", type="text", bg="true", depth="0", torigin="world")
+    for panorama in site.panoramas:
+        _krpano_scene(root, panorama, site.fov if panorama.identity == site.start else None)
+    ElementTree.indent(root, " ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+KRPANO_ACTIONS: Mapping[str, tuple[dict[str, str], str]] = {
+    "omnisyn_start": (
+        {"autorun": "onstart"},
+        "loadscene('{start}', null, MERGE); set(view.tx, get(image.ox)); set(view.ty, get(image.oy)); "
+        "set(view.tz, get(image.oz));",
+    ),
+    "omnisyn_go": (
+        {"scope": "local", "args": "target"},
+        "loadscene(get(target), null, MERGE|KEEPVIEW|KEEPMOVING, BLEND(0.75)); "
+        "tween(view.tx|view.ty|view.tz, calc(image.ox + '|' + image.oy + '|' + image.oz), 1.0, easeinoutsine);",
+    ),
+    "omnisyn_caption": ({}, "set(layer[omnisyn_caption].text, get(scene[get(xml.scene)].caption));"),
+}
+"""krpano's attributes and code of an action by its name: begin, move through space to another scene, say where one is.
+"""
+
+
+def _krpano_scene(root: ElementTree.Element, panorama: SitePanorama, fov: float | None) -> None:
+    caption = " – ".join(filter(None, (panorama.title, panorama.caption)))
+    scene = ElementTree.SubElement(
+        root, "scene", name=f"scene_{panorama.identity}", title=panorama.title, caption=html.escape(caption)
+    )
+    shown = math.degrees(math.radians(MARZIPANO_FOV) if fov is None else fov)
+    view = _krpano_angles(panorama, "hlookat", "vlookat")
+    ElementTree.SubElement(scene, "view", {**view, "fovtype": "VFOV", "fov": f"{shown:.3f}", "limitview": "auto"})
+    image = ElementTree.SubElement(scene, "image", _krpano_place(panorama.position, ("ox", "oy", "oz")))
+    ElementTree.SubElement(image, "sphere", url=panorama.picture)
+    model = {
+        "url": f"{DEPTH}/{panorama.identity}.depth",
+        "enabled": "true",
+        "rendermode": "3dmodel",
+        "scale": f"{CENTIMETRES:g}",
+        "axis": "+x+y+z",
+        "cull": "none",
+        "hittest": "true",
+    }
+    ElementTree.SubElement(image, "depthmap", model)
+    for index, mark in enumerate(panorama.marks):
+        named = {"name": f"mark_{index}", "style": "omnisyn_mark"}
+        ElementTree.SubElement(scene, "hotspot", {**named, **dict(_krpano_mark(mark, panorama.position))})
+
+
+def _krpano_mark(mark: SiteMark, position: Float[np.ndarray, " 3"]) -> Iterator[tuple[str, str]]:
+    place = mark.position
+    if place is None:  # a metre away in its direction
+        polar_angle = math.radians(90.0) - mark.pitch
+        place = position + np.asarray(angles_to_direction(np.array(mark.yaw), np.array(polar_angle)))
+    yield from _krpano_angles(mark, "ath", "atv").items()
+    yield from _krpano_place(place, ("tx", "ty", "tz")).items()
+    yield "text", html.escape(mark.text)
+    if mark.target is not None:
+        yield "linkedscene", f"scene_{mark.target}"
+        yield "onclick", "omnisyn_go(get(linkedscene));"
+    elif mark.link or mark.image:
+        yield "address", mark.link or mark.image or ""
+        yield "onclick", "openurl(get(address));"
+
+
+def _krpano_angles(at: SiteMark | SitePanorama, horizontal: str, vertical: str) -> dict[str, str]:
+    """Degrees to the right and downwards."""
+    return {horizontal: f"{math.degrees(at.yaw):.4f}", vertical: f"{-math.degrees(at.pitch):.4f}"}
+
+
+def _krpano_place(position: Float[np.ndarray, " 3"], names: tuple[str, str, str]) -> dict[str, str]:
+    place = WORLD_UP["-y"].T @ position * CENTIMETRES
+    return {name: f"{value:.2f}" for name, value in zip(names, place, strict=True)}
+
+
+def krpano_depth(vertices: Float[np.ndarray, "vertices 3"], triangles: np.ndarray) -> bytes:
+    """A model of depth, in our axes and metres, as krpano's format for it."""
+    places = (vertices @ WORLD_UP["-y"]).round(3)
+    points = " ".join(f"{number:g}" for number in places.ravel())
+    corners = " ".join(map(str, triangles.ravel()))
+    return f"DEPTH {len(vertices)} {points} {len(triangles)} {corners}\n".encode()
+
+
+def _degrees(at: SiteMark | SitePanorama) -> dict[str, float]:
+    return {"yaw": round(math.degrees(at.yaw), 4), "pitch": round(math.degrees(at.pitch), 4)}
+
+
+def _radians(at: SiteMark | SitePanorama) -> dict[str, float]:
+    return {"yaw": at.yaw, "pitch": at.pitch}
+
+
+def _downwards(at: SiteMark | SitePanorama) -> dict[str, float]:
+    return {"yaw": at.yaw, "pitch": -at.pitch}
+
+
+VIEWERS: Mapping[str, Viewer] = {
+    "pannellum": Viewer(("tour.json", _pannellum), {"pannellum": "^2.5.6"}),
+    "photo-sphere-viewer": Viewer(
+        ("tour.json", _photo_sphere_viewer),
+        {f"@photo-sphere-viewer/{part}": "^5.13.0" for part in ("core", "markers-plugin", "virtual-tour-plugin")},
+    ),
+    "marzipano": Viewer(("tour.json", _marzipano), {"marzipano": "^0.10.2"}),
+    "krpano": Viewer(("tour.xml", _krpano), {}, has_depth=True),
+}
+"""By the name of the format."""

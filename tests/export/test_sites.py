@@ -1,0 +1,157 @@
+"""Sites for viewers: what their files say, read back. ``viewer/test_exported_sites.py`` opens them in the viewers."""
+
+import json
+import shlex
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from cli.cli_samples import Omnisyn
+from export.export_samples import job_in, off_wall
+from export.site_samples import LANDMARKS, LINKS, NEIGHBOUR, PLACES, direction_of, pose_of, write_tour
+from interpolation_samples import CHAIN
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import normalize
+from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
+from omnisyn_cli.interpolation.export.viewers import VIEWERS
+from omnisyn_cli.io import read_panorama
+from omnisyn_cli.types import DepthEstimate, View
+
+KRPANO_AXES = np.array([1.0, -1.0, -1.0])
+"""krpano, "Coordinate Systems": x right, y down, z into the screen; 0/0 is the centre of the picture; 1 is 1 cm."""
+
+
+def job_of_tour(tour: Path, output: Path) -> ExportJob:
+    images = tuple(tour / f"{name}.png" for name in PLACES)
+    return ExportJob(
+        images, tour / "poses.json", output, format="krpano", threads=1, tour=tour / "tour.json", is_chain=False
+    )
+
+
+def flat(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+    """Everything is two metres away."""
+    far = np.full((32, 64), 0.5, np.float32)
+    return (DepthEstimate(far, np.ones_like(far)),) * 2
+
+
+@pytest.fixture
+def tour(tmp_path: Path) -> Path:
+    return write_tour(tmp_path / "tour")
+
+
+@pytest.mark.parametrize("viewer", VIEWERS)
+def test_a_site_is_complete_and_says_how_to_get_its_viewer(
+    viewer: str, tour: Path, tmp_path: Path, omnisyn: Omnisyn
+) -> None:
+    site = tmp_path / "it's a site"
+    depth = ["--preset", "fast", "--threads", 1] if VIEWERS[viewer].has_depth else []
+    made = omnisyn.made("export", tour, "--format", viewer, "-o", site, *depth)
+    assert f"{site}: 3 links of 4 panoramas" in made.out
+    assert shlex.quote(f"{site}/vendor") in made.err
+    files = {file.relative_to(site).as_posix() for file in site.rglob("*") if file.is_file()}
+    names = [f"{index:04d}_{name}" for index, name in enumerate(("hall", "a_b____c_", "stairs", "garden"))]
+    expected = {f"panoramas/{name}.jpg" for name in names} | {f"depth/{name}.depth" for name in names if depth}
+    document, _ = VIEWERS[viewer].document
+    assert files == expected | {"index.html", document, "vendor/package.json", "hotspots/0000.png"}
+    page = (site / "index.html").read_text()
+    assert "://" not in page
+    assert "<title>A tour &lt;script&gt;alert(1)&lt;/script&gt;</title>" in page
+    packages = json.loads((site / "vendor" / "package.json").read_text())["dependencies"]
+    assert all(f"vendor/node_modules/{package}/" in page for package in packages)
+    (site / "mine.txt").write_text("mine")
+    assert "expected a new or empty folder" in omnisyn.refused("export", tour, "--format", viewer, "-o", site)
+
+
+def test_panoramas_are_level_and_look_north(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
+    omnisyn.made("export", tour, "--format", "marzipano", "-o", tmp_path / "site", "--texture", 512)
+    scenes = json.loads((tmp_path / "site" / "tour.json").read_text())["scenes"]
+    for name, scene in zip(PLACES, scenes, strict=True):
+        picture = read_panorama(tmp_path / "site" / scene["panorama"]).image
+        assert picture.shape == (256, 512, 3)
+        for colour, place in LANDMARKS.values():
+            np.testing.assert_allclose(sample_bilinear(picture, direction_of(*place)), np.divide(colour, 255), atol=0.1)
+        for link in scene["linkHotspots"]:
+            towards = direction_of(*np.degrees([link["yaw"], -link["pitch"]]))
+            np.testing.assert_allclose(sample_bilinear(picture, towards), np.divide(NEIGHBOUR, 255), atol=0.1)
+            there = list(PLACES)[[other["id"] for other in scenes].index(link["target"])]
+            assert towards @ normalize(pose_of(there).position - pose_of(name).position) > 1 - 1e-9
+    targets = [[link["target"] for link in scene["linkHotspots"]] for scene in scenes]
+    assert sum(map(len, targets)) == 2 * len(LINKS)
+
+
+def krpano_depth_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles as the parser does in krpano's documentation of the format: split at whitespace."""
+    parsed = path.read_text().split()
+    assert parsed[0] == "DEPTH"
+    count = 3 * int(parsed[1])
+    vertices = np.array(parsed[2 : 2 + count], np.float32).reshape(-1, 3)
+    triangles = np.array(parsed[2 + count + 1 :], np.uint16).reshape(-1, 3)
+    assert int(parsed[2 + count]) == len(triangles)
+    return vertices, triangles
+
+
+def krpano_numbers(element: ElementTree.Element | None, *names: str) -> np.ndarray:
+    assert element is not None
+    return np.array([float(element.attrib[name]) for name in names])
+
+
+@pytest.fixture(scope="module")
+def krpano(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("krpano")
+    run_export(plan_export(job_in(folder, "site", format="krpano")))
+    return folder / "site"
+
+
+def test_krpano_has_the_surface_where_it_is(krpano: Path) -> None:
+    """Vertices, moved to the place of their panorama in krpano's world, lie on the wall of the hall."""
+    scenes = ElementTree.parse(krpano / "tour.xml").getroot().findall("scene")  # noqa: S314 - the test's own file
+    assert len(scenes) == len(CHAIN)
+    for scene, pose in zip(scenes, CHAIN, strict=True):
+        image, model = scene.find("image"), scene.find("image/depthmap")
+        assert model is not None
+        assert model.attrib["axis"] == "+x+y+z"
+        place = krpano_numbers(image, "ox", "oy", "oz")
+        np.testing.assert_allclose(place / 100 * KRPANO_AXES, pose.position, atol=1e-4)
+        vertices, triangles = krpano_depth_file(krpano / model.attrib["url"])
+        assert len(vertices) < 65536
+        assert triangles.max() == len(vertices) - 1
+        world = (vertices * float(model.attrib["scale"]) + place) / 100 * KRPANO_AXES
+        assert off_wall(world).max() < 0.02
+
+
+def test_krpano_meets_its_neighbours_where_links_say(krpano: Path) -> None:
+    root = ElementTree.parse(krpano / "tour.xml").getroot()  # noqa: S314 - the test's own file
+    scenes = {scene.attrib["name"]: scene for scene in root.findall("scene")}
+    places = {name: krpano_numbers(scene.find("image"), "ox", "oy", "oz") for name, scene in scenes.items()}
+    links = [(name, link) for name, scene in scenes.items() for link in scene.findall("hotspot")]
+    assert len(links) == 4
+    for name, link in links:
+        np.testing.assert_allclose(krpano_numbers(link, "tx", "ty", "tz"), places[link.attrib["linkedscene"]])
+        yaw, down = krpano_numbers(link, "ath", "atv")
+        ahead = KRPANO_AXES * (places[link.attrib["linkedscene"]] - places[name])
+        assert direction_of(yaw, -down) @ normalize(ahead) > 1 - 1e-6
+    actions = {action.attrib["name"]: action.text for action in root.findall("action")}
+    assert "KEEPVIEW" in str(actions["omnisyn_go"])
+    assert f"loadscene('{next(iter(scenes))}'" in str(actions["omnisyn_start"])
+
+
+def test_krpano_runs_nothing_that_texts_and_addresses_say(tour: Path, tmp_path: Path) -> None:
+    """Its actions take commas and brackets for their own, so addresses stand in attributes of their own."""
+    document = json.loads((tour / "tour.json").read_text())
+    document["panoramas"]["hall.png"]["hotspots"][0]["link"] = "https://example.org/);js(alert(1));("
+    (tour / "tour.json").write_text(json.dumps(document))
+    run_export(plan_export(job_of_tour(tour, tmp_path / "site")), estimator=flat)
+    root = ElementTree.parse(tmp_path / "site" / "tour.xml").getroot()  # noqa: S314 - the test's own file
+    spot = next(each for each in root.iter("hotspot") if "address" in each.attrib)
+    assert spot.attrib["onclick"] == "openurl(get(address));"
+    assert spot.attrib["text"] == "Red &lt;i&gt;thing&lt;/i&gt;"
+
+
+def test_krpano_needs_links_to_all(tour: Path, tmp_path: Path) -> None:
+    document = json.loads((tour / "tour.json").read_text())
+    (tour / "tour.json").write_text(json.dumps({**document, "links": [["hall.png", "stairs.png"]]}))
+    with pytest.raises(InputError, match=r"links to every panorama, got none to 'a b & <c>\.png', 'garden\.png'"):
+        plan_export(job_of_tour(tour, tmp_path / "site"))

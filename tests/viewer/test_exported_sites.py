@@ -1,0 +1,223 @@
+"""Sites in the viewers themselves: after every link the same landmark is in the centre; marks lie where they should.
+
+The viewers come from npm by the very command that the program names; without npm's registry these tests are skipped.
+"""
+
+import functools
+import http.server
+import io
+import shlex
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cli.cli_samples import Omnisyn
+from export.site_samples import LANDMARKS, LINKS, NEIGHBOUR, PLACES, pose_of, write_tour
+from viewer.browser import MINUTES, Launch
+
+WIDTH, HEIGHT = 720, 400
+
+TOLERANCE_DEG = 0.5
+
+JAVASCRIPT = {
+    "pannellum": {
+        "ready": "typeof viewer !== 'undefined' && viewer && viewer.isLoaded()"
+        " && !document.querySelector('.pnlm-fade-img')",
+        "scene": "viewer.getScene()",
+        "turn": "([yaw, pitch]) => viewer.lookAt(pitch, yaw, undefined, false)",
+        "view": "[viewer.getYaw(), viewer.getPitch()]",
+        "across": "viewer.getHfov()",
+        "link": "(id) => viewer.getConfig().hotSpots.find((spot) => spot.sceneId === id).div",
+        "follow": "(id) => viewer.getConfig().hotSpots.find((spot) => spot.sceneId === id).div.click()",
+        "marks": ".pnlm-hotspot-base",
+        "texts": "[...document.querySelectorAll('.pnlm-tooltip span')].map((mark) => mark.textContent)",
+    },
+    "photo-sphere-viewer": {
+        "ready": "window.viewer?.state.ready && !viewer.state.transitionAnimation && !viewer.state.loadingPromise"
+        " && !viewer.getPlugin('virtual-tour').state.loadingNode"
+        " && getComputedStyle(document.querySelector('.psv-canvas-container')).opacity === '1'",
+        "scene": "viewer.getPlugin('virtual-tour').getCurrentNode().id",
+        "turn": "([yaw, pitch]) => viewer.rotate({ yaw: yaw * Math.PI / 180, pitch: pitch * Math.PI / 180 })",
+        "view": "Object.values(viewer.getPosition()).map((angle) => angle * 180 / Math.PI)",
+        "across": "viewer.state.hFov",
+        "link": "(id) => [...document.querySelectorAll('.psv-virtual-tour-link')]"
+        ".find((a) => a.tourLink.nodeId === id)",
+        "follow": "(id) => { const tour = viewer.getPlugin('virtual-tour');"
+        " tour.setCurrentNode(id, null, tour.getCurrentNode().links.find((link) => link.nodeId === id)); }",
+        "marks": ".psv-virtual-tour-link, .psv-marker",
+        "texts": "viewer.getPlugin('markers').getMarkers().map((mark) => mark.config.tooltip.content)",
+    },
+    "marzipano": {
+        "ready": "typeof viewer !== 'undefined' && viewer?.scene() && !viewer._replacedScene",
+        "scene": "[...scenes].find(([, { scene }]) => scene === viewer.scene())[0]",
+        "turn": "([yaw, pitch]) => viewer.scene().view()"
+        ".setParameters({ yaw: yaw * Math.PI / 180, pitch: -pitch * Math.PI / 180 })",
+        "view": "[viewer.scene().view().yaw(), -viewer.scene().view().pitch()].map((angle) => angle * 180 / Math.PI)",
+        "across": "2 * Math.atan(innerWidth / innerHeight * Math.tan(viewer.scene().view().fov() / 2)) * 180 / Math.PI",
+        "link": "(id) => viewer.scene().hotspotContainer().listHotspots().map((spot) => spot.domElement().firstChild)"
+        ".find((mark) => mark.textContent === scenes.get(id).data.name)",
+        "follow": "(id) => viewer.scene().hotspotContainer().listHotspots().map((spot) => spot.domElement().firstChild)"
+        ".find((mark) => mark.textContent === scenes.get(id).data.name).click()",
+        "marks": ".mark",
+        "texts": "[...document.querySelectorAll('.mark')].map((mark) => mark.textContent)",
+    },
+}
+"""What every viewer calls what is done here."""
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    handler = functools.partial(Quiet, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}/"
+        finally:
+            server.shutdown()
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
+        """Nothing."""
+
+
+@dataclass
+class Shown:
+    """A site in its viewer."""
+
+    page: Any
+    script: dict[str, str]
+    requests: list[str]
+    errors: list[str]
+
+    def wait(self) -> None:
+        for _ in range(MINUTES // 50):
+            if self.page.evaluate(self.script["ready"]):
+                self.page.wait_for_timeout(100)  # the next frame shows it
+                return
+            self.page.wait_for_timeout(50)
+        raise AssertionError("expected a panorama")
+
+    def do(self, what: str, *given: Any) -> Any:
+        return self.page.evaluate(self.script[what], *given)
+
+    def turn(self, yaw: float, pitch: float) -> None:
+        self.do("turn", [yaw, pitch])
+        self.page.wait_for_timeout(150)
+
+    def off_centre(self, colour: tuple[int, int, int]) -> float:
+        """Degrees between the centre of the picture and that of what has a colour."""
+        hide = self.page.add_style_tag(content=f"{self.script['marks']} {{ visibility: hidden !important }}")
+        for _ in range(MINUTES // 200):
+            shot = np.asarray(Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")).astype(int)
+            is_it = np.abs(shot - colour).max(axis=-1) < 60
+            if is_it.sum() > 50:
+                break
+            self.page.wait_for_timeout(200)
+        else:
+            raise AssertionError(f"expected {colour} in the picture")
+        hide.evaluate("(style) => style.remove()")
+        row, col = (float(index.mean()) + 0.5 for index in np.nonzero(is_it))
+        return self.degrees_off(col, row)
+
+    def degrees_off(self, x: float, y: float) -> float:
+        focal = WIDTH / 2 / np.tan(np.radians(self.do("across")) / 2)
+        return float(np.degrees(np.arctan(np.hypot(x - WIDTH / 2, y - HEIGHT / 2) / focal)))
+
+    def arrive(self, scene: str) -> None:
+        for _ in range(MINUTES // 50):
+            if self.do("scene") == scene:
+                return self.wait()
+            self.page.wait_for_timeout(50)
+        raise AssertionError(f"expected {scene}, got {self.do('scene')}")
+
+
+@pytest.fixture(scope="module")
+def npm() -> str:
+    program = shutil.which("npm")
+    if program is None:
+        pytest.skip("needs npm")
+    if subprocess.run([program, "ping"], capture_output=True, timeout=60, check=False).returncode:
+        pytest.skip("needs npm's registry, which does not answer")
+    return program
+
+
+@pytest.fixture(scope="module")
+def opened(launch: Launch) -> Iterator[Any]:
+    with launch() as browser:
+        yield browser
+
+
+@pytest.fixture(params=sorted(JAVASCRIPT))
+def shown(request: pytest.FixtureRequest, npm: str, opened: Any, tmp_path: Path, omnisyn: Omnisyn) -> Iterator[Shown]:
+    viewer, site = request.param, tmp_path / "a site"
+    said = omnisyn.made("export", write_tour(tmp_path / "tour"), "--format", viewer, "-o", site).err
+    command = next(line for line in said.splitlines() if "npm install" in line).split("get it: ")[1]
+    subprocess.run([npm, *shlex.split(command)[1:]], check=True, capture_output=True)
+    with served(site) as address:
+        page = opened.new_context(viewport={"width": WIDTH, "height": HEIGHT}).new_page()
+        page.set_default_timeout(MINUTES)
+        found = Shown(page, JAVASCRIPT[viewer], [], [])
+        page.on("request", lambda each: found.requests.append(each.url))
+        page.on("pageerror", lambda error: found.errors.append(str(error)))
+        page.on("console", lambda each: each.type == "error" and found.errors.append(each.text))
+        page.goto(address)
+        found.wait()
+        yield found
+        assert found.errors == []
+        assert [url for url in found.requests if not url.startswith((address, "data:", "blob:"))] == []
+        page.context.close()
+
+
+def identity(name: str) -> str:
+    index = list(PLACES).index(name)
+    return f"{index:04d}_" + "".join(letter if letter.isalnum() else "_" for letter in name)
+
+
+def yaw_and_pitch(direction: np.ndarray) -> tuple[float, float]:
+    x, y, z = direction
+    return float(np.degrees(np.arctan2(x, -z))), float(np.degrees(np.arctan2(y, np.hypot(x, z))))
+
+
+def test_after_every_link_the_same_landmark_is_in_the_centre(shown: Shown) -> None:
+    colour, place = LANDMARKS["red"]
+    assert shown.off_centre(colour) < TOLERANCE_DEG  # the start view
+    off = []
+    ways = [way for there in LINKS for way in (there, there[::-1])]
+    for index, (here, there) in enumerate(ways):
+        towards = yaw_and_pitch(pose_of(there).position - pose_of(here).position)
+        shown.turn(*towards)
+        off.append(shown.off_centre(NEIGHBOUR))
+        box = shown.page.evaluate_handle(shown.script["link"], identity(there)).bounding_box()
+        off.append(shown.degrees_off(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2))
+        colour, place = list(LANDMARKS.values())[index % len(LANDMARKS)]
+        shown.turn(*place)
+        off.append(shown.off_centre(colour))
+        before = shown.do("view")
+        shown.do("follow", identity(there))
+        shown.arrive(identity(there))
+        off.append(shown.off_centre(colour))
+        turned = (np.subtract(shown.do("view"), before) + 180) % 360 - 180
+        assert np.abs(turned).max() < 0.01
+    print(f"degrees off the centre: greatest {max(off):.3f}, mean {np.mean(off):.3f} of {len(off)}")
+    assert max(off) < TOLERANCE_DEG
+
+
+def test_a_link_is_followed_by_hand_and_texts_are_texts(shown: Shown) -> None:
+    texts = shown.do("texts")
+    assert any("thing" in text for text in texts)
+    assert shown.page.evaluate("document.querySelectorAll('i, #panorama script').length") == 0
+    assert "<b>rebuilt</b>" in shown.page.inner_text("body")
+    assert shown.page.title() == "A tour <script>alert(1)</script>"
+    shown.turn(*yaw_and_pitch(pose_of("stairs").position - pose_of("hall").position))
+    shown.page.mouse.click(WIDTH / 2, HEIGHT / 2)
+    shown.arrive(identity("stairs"))
