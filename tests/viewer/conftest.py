@@ -1,5 +1,7 @@
 """One driver of browsers for all tests of walks that a process runs."""
 
+import shutil
+import subprocess
 from collections.abc import Iterator
 
 import pytest
@@ -13,3 +15,14 @@ def launch() -> Iterator[Launch]:
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, which the extra 'test' brings")
     with playwright.sync_playwright() as driver:
         yield launcher(driver)
+
+
+@pytest.fixture(scope="session")
+def npm() -> str:
+    """The program that gets viewers of others; skips where there is none, or no registry."""
+    program = shutil.which("npm")
+    if program is None:
+        pytest.skip("needs npm")
+    if subprocess.run([program, "ping"], capture_output=True, timeout=60, check=False).returncode:
+        pytest.skip("needs npm's registry, which does not answer")
+    return program

@@ -7,7 +7,6 @@ import functools
 import http.server
 import io
 import shlex
-import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -139,16 +138,6 @@ class Shown:
                 return self.wait()
             self.page.wait_for_timeout(50)
         raise AssertionError(f"expected {scene}, got {self.do('scene')}")
-
-
-@pytest.fixture(scope="module")
-def npm() -> str:
-    program = shutil.which("npm")
-    if program is None:
-        pytest.skip("needs npm")
-    if subprocess.run([program, "ping"], capture_output=True, timeout=60, check=False).returncode:
-        pytest.skip("needs npm's registry, which does not answer")
-    return program
 
 
 @pytest.fixture(scope="module")
