@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from omnisyn_cli.errors import PoseError
+from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.interpolation.inputs import along_path, named_tour
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from omnisyn_cli.poses.tour import Tour, chain_links, links_between
 from omnisyn_cli.poses.tour_file import read_tour
@@ -150,3 +151,24 @@ def test_links_of_the_pose_file_name_its_panoramas(tmp_path: Path) -> None:
     (tmp_path / "poses.json").write_text(json.dumps({**document, "links": [["a.jpg", "z.jpg"]]}))
     with pytest.raises(PoseError, match="they have no entry"):
         read_poses(tmp_path / "poses.json")
+
+
+@pytest.mark.parametrize(
+    ("path", "names"), [("a,e", "abe"), ("a.jpg, c,d", "abcbd"), ("c,b", "cb")], ids=["two ends", "through", "a link"]
+)
+def test_a_path_goes_along_links(tmp_path: Path, path: str, names: str) -> None:
+    tour_of(tmp_path)
+    for name in PLACES:
+        (tmp_path / f"{name}.jpg").write_bytes(b"")
+    tour = along_path(named_tour([tmp_path]), path)
+    assert ("".join(image.stem for image in tour.images), tour.is_chain) == (names, True)
+    assert tour.output(".mp4") == Path(f"{names[0]}-{names[-1]}.mp4")
+
+
+@pytest.mark.parametrize(("path", "words"), [("a,z", "got 'z'; choose from"), ("a", "two or more"), ("", "got ''")])
+def test_a_path_that_is_none_is_refused(tmp_path: Path, path: str, words: str) -> None:
+    tour_of(tmp_path)
+    for name in PLACES:
+        (tmp_path / f"{name}.jpg").write_bytes(b"")
+    with pytest.raises(InputError, match=words):
+        along_path(named_tour([tmp_path]), path)

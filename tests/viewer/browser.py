@@ -68,7 +68,7 @@ class WalkPage:
     """
 
     def __init__(self, opened: Any, address: Path | str, place: str = "", **context: Any) -> None:
-        self.page = opened.new_context(viewport={"width": 320, "height": 200}, **context).new_page()
+        self.page = opened.new_context(**{"viewport": {"width": 320, "height": 200}, **context}).new_page()
         self.page.set_default_timeout(MINUTES)
         self.requests: list[str] = []
         self.errors: list[str] = []

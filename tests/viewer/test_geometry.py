@@ -218,12 +218,12 @@ def test_at_a_panorama_it_is_the_photograph(shot: Shot, end: int) -> None:
 
 
 def test_maps_are_unpacked_exactly(shot: Shot) -> None:
-    for k, surface in enumerate(shot.walk.manifest["pairs"][0]["surfaces"]):
+    for k, surface in enumerate(shot.walk.manifest["surfaces"]):
         for name in ("inverseDepth", "quads", "trust"):
             if surface[name] is None:
                 continue
-            wanted = shot.walk.blocks.contents[surface[name]["block"]]
-            script = f"omnisyn.page.world.blocks.map(omnisyn.page.world.walk.pairs[0].surfaces[{k}].{name})"
+            wanted = shot.walk.contents[surface[name]["block"]]
+            script = f"omnisyn.page.world.blocks.map(omnisyn.page.world.walk.surfaces[{k}].{name})"
             values = np.array(shot.page.page.evaluate(f"{script}.then((map) => Array.from(map))"))
             kind = np.uint16 if surface[name]["depth"] == 2 else np.uint8
             values = values.reshape(surface[name]["rows"], surface[name]["cols"]).astype(kind)
@@ -235,7 +235,7 @@ def test_tiles_out_of_sight_are_not_drawn(shot: Shot) -> None:
     for fov in (20, 120):
         shot.page.capture(look(0, 0), shot.pose(0.5).position, fov, (64, 64))
         drawn.append(shot.page.page.evaluate("omnisyn.page.renderer.drawn"))
-    whole = 2 * shot.page.page.evaluate("omnisyn.page.world.onGraphics.get('surface 0 0').triangles")
+    whole = 2 * shot.page.page.evaluate("omnisyn.page.world.things.get('surface 0').triangles")
     assert drawn[0] < drawn[1] < 0.9 * whole
 
 

@@ -37,8 +37,8 @@ def test_the_policy_admits_the_script_and_the_style_and_nothing_else(tmp_path: P
     page = made(tmp_path, write_hall(tmp_path, CHAIN)).read_text()
     (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="(.*?)"', page)
     rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
-    for element, name in (("script", "script-src"), ("style", "style-src")):
-        (inside,) = re.findall(rf"<{element}>(.*?)</{element}>", page, re.DOTALL)
+    for element, name in (('script type="module"', "script-src"), ("style", "style-src")):
+        (inside,) = re.findall(rf"<{element}>(.*?)</{element[:6].strip()}>", page, re.DOTALL)
         digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
         assert rules[name] == f"'sha256-{digest}'"
     assert (rules["default-src"], rules["connect-src"]) == ("'none'", "'none'")
@@ -48,14 +48,13 @@ def test_the_policy_admits_the_script_and_the_style_and_nothing_else(tmp_path: P
 def test_blocks_are_those_that_the_manifest_names(tmp_path: Path) -> None:
     page = made(tmp_path, write_hall(tmp_path, CHAIN)).read_text()
     manifest = manifest_of(page)
-    assert (len(manifest["panoramas"]), len(manifest["pairs"])) == (3, 2)
-    named = {panorama["photo"]["block"] for panorama in manifest["panoramas"]}
-    for pair in manifest["pairs"]:
-        for surface in pair["surfaces"]:
-            named |= {surface[key]["block"] for key in ("inverseDepth", "quads", "trust") if surface[key]}
+    assert [link["panoramas"] for link in manifest["links"]] == [[0, 1], [1, 2]]
+    named = {level["block"] for panorama in manifest["panoramas"] for level in panorama["photo"]}
+    for surface in manifest["surfaces"]:
+        named |= {surface[key]["block"] for key in ("inverseDepth", "quads", "trust") if surface[key]}
     blocks = {int(k): base64.b64decode(text) for k, text in re.findall(r'id="block-(\d+)">(.*?)</script>', page)}
     assert set(blocks) == named
-    first = blocks[manifest["panoramas"][0]["photo"]["block"]]
+    first = blocks[manifest["panoramas"][0]["photo"][-1]["block"]]
     assert first.startswith(b"\xff\xd8\xff")
     for pose, panorama in zip(CHAIN, manifest["panoramas"], strict=True):
         np.testing.assert_allclose(panorama["position"], pose.position)
@@ -78,13 +77,13 @@ def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
 def test_a_folder_is_served_to_this_machine(tmp_path: Path) -> None:
     folder = made(tmp_path, write_hall(tmp_path, CHAIN[:2]), is_folder=True)
     page = (folder / "index.html").read_text()
-    manifest = manifest_of(page)
+    manifest = json.loads((folder / "walk.json").read_text())
     assert "connect-src 'self'" in page
     assert "block-0" not in page
-    assert set(listing(folder)) == {"index.html", *manifest["files"]}
+    assert set(listing(folder)) == {"index.html", "omnisyn-walk.js", "walk.json", *manifest["files"]}
     with serving(folder) as address:
         assert address.startswith("http://127.0.0.1:")
-        for name in ("", manifest["files"][0]):
+        for name in ("", "omnisyn-walk.js", "walk.json", manifest["files"][0]):
             with urlopen(address + name) as answer:  # noqa: S310 - this machine
                 assert answer.read() == (folder / (name or "index.html")).read_bytes()
 
@@ -124,7 +123,7 @@ def test_too_little_is_refused(tmp_path: Path) -> None:
 def test_photographs_are_reduced_to_the_texture(tmp_path: Path) -> None:
     options = ViewOptions(texture=64, is_lossless=True)
     run_view(plan_view(tour_job(ViewJob, tmp_path, write_hall(tmp_path, CHAIN[:2]), "walk.html", options=options)))
-    photo = manifest_of((tmp_path / "walk.html").read_text())["panoramas"][0]["photo"]
+    photo = manifest_of((tmp_path / "walk.html").read_text())["panoramas"][0]["photo"][-1]
     assert (photo["width"], photo["height"], photo["type"]) == (64, 32, "image/png")
 
 
@@ -148,7 +147,7 @@ def test_gains_take_a_picture_to_the_other_ones_exposure() -> None:
 
 def test_panoramas_at_one_place_make_a_walk(tmp_path: Path) -> None:
     images = write_hall(tmp_path, [posed((0, 0, 0)), posed((0, 0, 0), heading=0.4)], with_depth=False)
-    assert len(manifest_of(made(tmp_path, images).read_text())["pairs"]) == 1
+    assert len(manifest_of(made(tmp_path, images).read_text())["links"]) == 1
 
 
 def test_tiny_panoramas_make_a_walk(tmp_path: Path) -> None:
@@ -172,5 +171,5 @@ def test_a_doubtful_pair_is_given_up_or_faded_if_that_is_asked_for(tmp_path: Pat
             made(tmp_path, images, fallback=fallback)
         assert not (tmp_path / "walk.html").exists()
         return
-    (pair,) = manifest_of(made(tmp_path, images, fallback=fallback).read_text())["pairs"]
-    assert pair["isCrossFade"] == (fallback == "crossfade")
+    (link,) = manifest_of(made(tmp_path, images, fallback=fallback).read_text())["links"]
+    assert link["isCrossFade"] == (fallback == "crossfade")

@@ -57,6 +57,10 @@ if TYPE_CHECKING:
     "here]",
 )  # fmt: skip
 @click.option(
+    "--path", metavar="A,B[,C...]",
+    help="Go along links through these panoramas of the folder, see docs/view.md#tours; two are both ends.",
+)  # fmt: skip
+@click.option(
     "--every", metavar="SECONDS", type=Seconds(0, min_open=True),
     help="Take panoramas from a 360° video, one every so many seconds; their poses are found in the pictures.",
 )  # fmt: skip

@@ -164,13 +164,14 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
     """Options in which the panoramas of a folder, the pose file and the output are named, whoever named them.
 
     Args:
-        options: with those of :data:`tour_options`, ``output`` and ``allow_outside``.
+        options: with those of :data:`tour_options`, ``output`` and ``allow_outside``; perhaps with a ``path``.
         ending: that of the output if nobody named it, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
     """
-    from omnisyn_cli.interpolation.inputs import named_tour, poses_beside
+    from omnisyn_cli.interpolation.inputs import along_path, named_tour, poses_beside
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 
     images, poses, output = options["images"], options["poses"], options["output"]
+    path = options.get("path")
     if poses is None and not poses_beside(images):
         for image in images:
             if not image.exists():
@@ -180,10 +181,13 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
             "(--poses auto), or name the pose file (--poses FILE)"
         )
     tour = named_tour(images, poses, allow_outside=options["allow_outside"])
+    if path is not None:
+        tour = along_path(tour, path, allow_outside=options["allow_outside"])
     finds_order = tour.poses == POSES_FROM_PICTURES and images[0].is_dir()
     output = output or tour.output(ending())
     return {
-        **options, "images": tour.images, "poses": tour.poses, "output": output, "finds_order": finds_order,
+        **{key: value for key, value in options.items() if key != "path"},
+        "images": tour.images, "poses": tour.poses, "output": output, "finds_order": finds_order,
         "tour": tour.tour, "is_chain": tour.is_chain,
     }  # fmt: skip
 

@@ -2,17 +2,18 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
+from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.poses.file import POSES_NAME, read_poses, stored_file
-from omnisyn_cli.poses.tour_file import TOUR_NAME
+from omnisyn_cli.poses.tour_file import TOUR_NAME, read_tour
 
-__all__ = ["NamedTour", "named_tour", "poses_beside", "video_ending"]
+__all__ = ["NamedTour", "along_path", "named_tour", "poses_beside", "video_ending"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,35 @@ def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outsid
 def _tour_file_in(folder: Path) -> Path | None:
     file = folder / TOUR_NAME
     return file if file.exists() else None
+
+
+def along_path(tour: NamedTour, path: str, *, allow_outside: bool = False) -> NamedTour:
+    """The part of a tour that a path through its links names: the shortest way through some panoramas.
+
+    Args:
+        tour: panoramas with a pose file.
+        path: names of two or more panoramas in walking order, with or without endings, separated by commas.
+        allow_outside: as for :func:`named_tour`.
+
+    Raises InputError: there is no pose file, no such panorama, or no links lead from one to the next.
+    """
+    if tour.poses == POSES_FROM_PICTURES:
+        raise InputError(f"expected a pose file for a path through the tour, got --poses {tour.poses}; write one first")
+    poses = read_poses(tour.poses, allow_outside=allow_outside)
+    graph = read_tour(tour.tour, tour.images, poses, tour.name, allow_outside=allow_outside)
+    known = {word: one for one in reversed(graph.panoramas) for word in (one.image.stem, one.image.name, one.name)}
+    words = [word.strip() for word in path.split(",")]
+    for word in words:
+        if word not in known:
+            raise InputError(
+                f"expected names of panoramas in a path, got '{word}'; "
+                f"choose from {listed(one.image.name for one in graph.panoramas)}"
+            )
+    if len(words) < 2:
+        raise InputError(f"expected two or more panoramas in a path, got '{path}'; name at least both ends")
+    names = graph.path_through([known[word].name for word in words])
+    images = tuple(graph.by_name[name].image for name in names)
+    return replace(tour, images=images, name=f"{images[0].stem}-{images[-1].stem}", is_chain=True)
 
 
 def _in_folder(folder: Path, poses: Path | None, allow_outside: bool) -> tuple[tuple[Path, ...], Path]:

@@ -91,10 +91,15 @@ class TourPlan:
     notes: tuple[str, ...]
     tour: Tour
 
+    @property
+    def is_chain(self) -> bool:
+        """Whether every panorama leads to the next one; otherwise links say where they lead."""
+        return self.job.is_chain or not self.job.follows_links
+
     @cached_property
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Indices of the two panoramas of every pair: neighbours in the chain, or the ends of every link."""
-        if self.job.is_chain or not self.job.follows_links:
+        if self.is_chain:
             return tuple(pairwise(range(len(self.entries))))
         place = {panorama.name: k for k, panorama in enumerate(self.tour.panoramas)}
         return tuple((place[first], place[second]) for first, second in self.tour.links)

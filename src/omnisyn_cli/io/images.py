@@ -14,7 +14,15 @@ from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
 
-__all__ = ["INTEGER_PEAKS", "check_mask_size", "is_squeezed", "read_panorama", "sphere_size", "usable_part"]
+__all__ = [
+    "INTEGER_PEAKS",
+    "check_mask_size",
+    "is_squeezed",
+    "read_panorama",
+    "read_picture",
+    "sphere_size",
+    "usable_part",
+]
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""
@@ -354,14 +362,18 @@ def read_photographs(folder: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
         InputError: as :func:`list_photographs`.
         ImageError: one of them cannot be read; the message names it.
     """
-    return [_read(path) for path in list_photographs(folder)]
+    return [read_picture(path, MAX_PHOTOGRAPH_SIDE) for path in list_photographs(folder)]
 
 
-def _read(path: Path) -> UInt8[np.ndarray, "height width 3"]:
+def read_picture(path: Path, longest_side: int) -> UInt8[np.ndarray, "height width 3"]:
+    """An ordinary picture, upright, sRGB, its longer side at most so many pixels; alpha is ignored.
+
+    ImageError: missing, or not an image.
+    """
     header, samples = decode_image(path)
     colour, _ = colour_and_alpha(header, upright(samples, header.orientation))
     image = np.clip(unit_range(colour, path), 0.0, 1.0)
-    scale = min(1.0, MAX_PHOTOGRAPH_SIDE / max(image.shape[:2]))
+    scale = min(1.0, longest_side / max(image.shape[:2]))
     if scale < 1.0:
         import cv2  # loaded only here: a plan needs this package, and no more
 

@@ -110,6 +110,11 @@ class FloorPlan:
         moved = turn * (complex(position[0], position[2]) - complex(*self.positions[0])) + complex(*self.pixels[0])
         return moved.real, moved.imag
 
+    def position_of(self, col: float, row: float) -> tuple[float, float]:
+        """(x, z) in the world of a place in the picture."""
+        moved = (complex(col, row) - complex(*self.pixels[0])) / self.pixels_per_metre + complex(*self.positions[0])
+        return moved.real, moved.imag
+
     @property
     def pixels_per_metre(self) -> complex:
         """Scale and turn of the picture: rows grow downwards as z grows southwards."""

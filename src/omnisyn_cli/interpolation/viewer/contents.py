@@ -1,7 +1,9 @@
 """What a walk consists of: panoramas, pairs of neighbours with their surfaces, and the program's rules as numbers."""
 
-from collections.abc import Mapping
+import zlib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,9 @@ from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
+from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.viewer.packing import (
@@ -20,6 +24,10 @@ from omnisyn_cli.interpolation.viewer.packing import (
     packed_mask,
     packed_photograph,
 )
+from omnisyn_cli.io import read_header
+from omnisyn_cli.io.images import read_picture
+from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.poses.tour import FloorPlan, Hotspot, StartView
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import MAX_FULL_RESOLUTION_LEVEL, MIP_BIAS
@@ -31,6 +39,12 @@ MIN_GROUND_COSINE = 0.8
 """Cosine of the angle from straight down up to which ground is looked for."""
 
 DEFAULT_EYE_HEIGHT_METRES = 1.5
+
+FORMAT_VERSION = 1
+"""Of the manifest; a reader refuses others."""
+
+HOTSPOT_PIXELS, PLAN_PIXELS = 1600, 2048
+"""Longer side of the pictures of hotspots, and of a floor plan."""
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
@@ -45,6 +59,7 @@ RULES: Mapping[str, float] = {
     "MAX_FULL_RESOLUTION_LEVEL": float(MAX_FULL_RESOLUTION_LEVEL),
     "CLIPPING_SRGB": float(CLIPPING_SRGB),
     "MAX_CLIPPED_WEIGHT_LOSS": MAX_CLIPPED_WEIGHT_LOSS,
+    "SAME_POINT_TOLERANCE": SAME_POINT_TOLERANCE,
     "NEAR": 0.02,
 }
 """Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
@@ -70,26 +85,36 @@ class Walk:
     Attributes:
         title: of the page.
         manifest: plain values, see ``docs/view.md``; they name blocks by number.
-        blocks: bytes.
+        contents: the blocks, unless they have been written already.
     """
 
     title: str
     manifest: dict[str, Any]
-    blocks: Blocks
+    contents: tuple[bytes, ...] = ()
 
 
 class TourPacker:
     """Packs the pairs of a tour.
 
+    Inside a chain a panorama may have a surface of its own in both its pairs, as its video has. Elsewhere it has one.
+
     Args:
         plan: of the tour.
         options: how it is packed.
+        keep: is given the number and the content of every block; None holds them until all are there.
     """
 
-    def __init__(self, plan: TourPlan, options: ViewOptions) -> None:
-        self._plan, self._options, self.blocks = plan, options, Blocks()
+    def __init__(
+        self, plan: TourPlan, options: ViewOptions, keep: Callable[[int, bytes], object] | None = None
+    ) -> None:
+        self._plan, self._options = plan, options
+        self._contents: list[bytes] = []
+        self.blocks = Blocks(keep or (lambda number, content: self._contents.append(content)))
+        self._said = {real_path(panorama.image): panorama for panorama in plan.tour.panoramas}
         self._panoramas: dict[int, dict[str, Any]] = {}
-        self._pairs: dict[int, dict[str, Any]] = {}
+        self._surfaces: list[dict[str, Any]] = []
+        self._surface_of: dict[int, int] = {}
+        self._links: dict[int, dict[str, Any]] = {}
 
     def add(self, pair: PairSurfaces) -> None:
         """One more pair; in the end all of them have to be there."""
@@ -97,35 +122,92 @@ class TourPacker:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
         is_ambiguous = self._plan.config.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
-        surfaces = [self._surface(surface.mesh) for surface in pair.surfaces]
-        self._pairs[pair.index] = {
-            "isCrossFade": is_ambiguous, "exposure": _gains(pair.check.curve), "surfaces": surfaces,
-        }  # fmt: skip
+        gains = _gains(pair.check.curve)
+        self._links[pair.index] = {
+            "panoramas": [surface.index for surface in pair.surfaces],
+            "surfaces": [self._surface(surface) for surface in pair.surfaces],
+            "isCrossFade": is_ambiguous,
+            "exposure": None if gains is None else self.blocks.add(zlib.compress(np.array(gains, "<f4").tobytes(), 9)),
+        }
 
     def packed(self) -> Walk:
         """All of it."""
-        names = [image.stem for image in self._plan.job.images]
+        tour = self._plan.tour
         tables = np.concatenate([QUARTER_INVERSE_DEPTHS.reshape(16, -1), QUARTER_DIRECTIONS.reshape(1, -1)])
-        panoramas, pairs = ([found[k] for k in sorted(found)] for found in (self._panoramas, self._pairs))
-        manifest = {"panoramas": panoramas, "pairs": pairs, "tables": tables.ravel().tolist(), "files": None}
-        return Walk(f"{names[0]} – {names[-1]}", manifest, self.blocks)
+        panoramas, links = ([found[k] for k in sorted(found)] for found in (self._panoramas, self._links))
+        manifest = {
+            "version": FORMAT_VERSION, "title": tour.title, "isGeographic": tour.is_geographic,
+            "start": self._start(tour.start), "panoramas": panoramas, "links": links, "surfaces": self._surfaces,
+            "hotspots": self._hotspots(tour.hotspots), "plan": None if tour.plan is None else self._floor(tour.plan),
+            "tables": tables.ravel().tolist(), "files": None,
+        }  # fmt: skip
+        return Walk(tour.title, manifest, tuple(self._contents))
 
     def _panorama(self, surface: PanoramaSurface) -> dict[str, Any]:
         view, width = surface.view, self._options.texture
-        content, kind = packed_photograph(surface.samples(width), is_lossless=self._options.is_lossless)
+        image = self._plan.job.images[surface.index]
+        said = self._said[real_path(image)]
+        samples = surface.samples(width)
         mask = None
         if view.mask is not None and not view.mask.all():
             mask = self.blocks.add_map(packed_mask(view.mask, width))
         return {
-            "name": self._plan.job.images[surface.index].name,
+            "name": image.name,
+            "title": said.title,
+            "caption": said.caption,
             "eyeHeight": _eye_height(surface),
             "position": view.pose.position.tolist(),
             "rotation": view.pose.rotation.ravel().tolist(),
-            "photo": {"block": self.blocks.add(content), **kind},
+            "photo": self.blocks.add_levels(samples, is_lossless=self._options.is_lossless),
             "mask": mask,
+            "hotspots": self._hotspots(said.hotspots, surface),
         }
 
-    def _surface(self, mesh: Mesh) -> dict[str, Any]:
+    def _hotspots(self, hotspots: Iterable[Hotspot], surface: PanoramaSurface | None = None) -> list[dict[str, Any]]:
+        return [
+            {
+                "text": hotspot.text,
+                "link": hotspot.link,
+                "image": None if hotspot.image is None else self._picture(hotspot.image, HOTSPOT_PIXELS),
+                "place": _place(hotspot, surface),
+            }
+            for hotspot in hotspots
+        ]
+
+    def _picture(self, file: Path, longest_side: int) -> dict[str, Any]:
+        """Encoded anew: what else a file holds stays where it is."""
+        content, kind = packed_photograph(read_picture(file, longest_side), is_lossless=file.suffix.lower() == ".png")
+        return {"block": self.blocks.add(content), **kind}
+
+    def _floor(self, plan: FloorPlan) -> dict[str, Any]:
+        """The floor plan, with the places (x, z) of its upper left, upper right and lower left corner."""
+        original_width = read_header(plan.image).width
+        picture = self._picture(plan.image, PLAN_PIXELS)
+        scale = original_width / picture["width"]
+        corners = ((0, 0), (picture["width"], 0), (0, picture["height"]))
+        return {**picture, "corners": [plan.position_of(scale * col, scale * row) for col, row in corners]}
+
+    def _start(self, start: StartView) -> dict[str, Any]:
+        """With angles in the world, in degrees."""
+        names = [self._said[real_path(image)].name for image in self._plan.job.images]
+        index = names.index(start.panorama)
+        fov = None if start.fov is None else round(np.degrees(start.fov), 3)
+        if start.yaw is None:
+            return {"panorama": index, "direction": None, "fov": fov}
+        own = angles_to_direction(np.array(start.yaw), np.array(np.radians(90.0) - start.pitch))
+        return {"panorama": index, "direction": (self._plan.entries[index].pose.rotation @ own).tolist(), "fov": fov}
+
+    def _surface(self, surface: PanoramaSurface) -> int:
+        """The number of the surface; at a crossing that of the first link is taken for all."""
+        known = None if self._plan.is_chain else self._surface_of.get(surface.index)
+        if known is None:
+            packed = self._packed_surface(surface.mesh)
+            if packed not in self._surfaces:
+                self._surfaces.append(packed)
+            known = self._surface_of[surface.index] = self._surfaces.index(packed)
+        return known
+
+    def _packed_surface(self, mesh: Mesh) -> dict[str, Any]:
         codes, peak = inverse_depth_codes(mesh.inverse_depth)
         surface_confidence = confidence_codes(mesh)
         return {
@@ -145,6 +227,17 @@ def _eye_height(surface: PanoramaSurface) -> float:
     down = -(pixel_directions(*surface.mesh.size) @ surface.view.pose.rotation[UP_AXIS])
     is_known = (down > MIN_GROUND_COSINE) & (rho > 0.0) & (confidence > 0.0)
     return float(np.median(down[is_known] / rho[is_known])) if is_known.any() else DEFAULT_EYE_HEIGHT_METRES
+
+
+def _place(hotspot: Hotspot, surface: PanoramaSurface | None) -> list[float]:
+    """Its point in the world and 1; or its direction and 0 where its panorama sees nothing near."""
+    if hotspot.point is not None or surface is None:
+        return [*map(float, np.asarray(hotspot.point)), 1.0]
+    direction, pose = np.asarray(hotspot.direction), surface.view.pose
+    rho = float(sample_nearest(np.maximum(surface.mesh.inverse_depth, 0.0), direction[None])[0])
+    if rho == 0.0:
+        return [*map(float, pose.rotation @ direction), 0.0]
+    return [*map(float, pose.transform(direction / rho)), 1.0]
 
 
 def _poles(mesh: Mesh) -> list[float | None]:

@@ -4,7 +4,9 @@ A map of whole numbers is kept as what each is above ``left + above − above le
 choice, PNG 1.2, section 6.6), all low bytes before all high bytes, deflated; ``web/blocks.js`` undoes it exactly.
 """
 
+import hashlib
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -21,26 +23,53 @@ JPEG_QUALITY = 88
 """Of JPEG files: at 92 they are a third larger."""
 
 
-class Blocks:
-    """The blocks of a page, in the order in which they were added."""
+PREVIEW_COLUMNS, PREVIEW_QUALITY = 768, 72
+"""Width and JPEG quality of the first picture of a panorama: it takes some 50 kB, so that something shows at once."""
 
-    def __init__(self) -> None:
-        self.contents: list[bytes] = []
+MIN_REDUCTION = 1.5
+"""Ratio of the widths of a photograph's levels: less is not worth a level of its own."""
+
+
+class Blocks:
+    """The blocks of a page, numbered in the order in which they were added; equal ones are kept once.
+
+    Args:
+        keep: is given the number and the content of every new block.
+    """
+
+    def __init__(self, keep: Callable[[int, bytes], object]) -> None:
+        self._keep, self._numbers = keep, dict[bytes, int]()
+        self.size = 0
+
+    def __len__(self) -> int:
+        return len(self._numbers)
 
     def add(self, content: bytes) -> int:
         """Its number."""
-        self.contents.append(content)
-        return len(self.contents) - 1
+        digest = hashlib.sha256(content).digest()
+        if digest not in self._numbers:
+            self._numbers[digest] = len(self._numbers)
+            self.size += len(content)
+            self._keep(self._numbers[digest], content)
+        return self._numbers[digest]
 
     def add_map(self, values: UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]) -> dict[str, int]:
         """What ``web/blocks.js`` finds it by."""
         rows, cols = values.shape
         return {"block": self.add(packed_map(values)), "rows": rows, "cols": cols, "depth": values.itemsize}
 
-    @property
-    def size(self) -> int:
-        """Bytes of them all."""
-        return sum(map(len, self.contents))
+    def add_levels(self, samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool) -> list[dict[str, Any]]:
+        """A photograph in several sizes, from a small preview to the whole."""
+        full = samples.shape[1]
+        widths = [width for width in (PREVIEW_COLUMNS, full // 2) if full >= MIN_REDUCTION * width >= PREVIEW_COLUMNS]
+        levels = []
+        for width in (*widths, full):
+            size = (width, round(samples.shape[0] * width / full))
+            reduced = samples if width == full else cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
+            quality = PREVIEW_QUALITY if width == PREVIEW_COLUMNS < full else JPEG_QUALITY
+            content, kind = packed_photograph(reduced, is_lossless=is_lossless and width == full, quality=quality)
+            levels.append({"block": self.add(content), **kind})
+        return levels
 
 
 def packed_map(values: UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]) -> bytes:
@@ -72,10 +101,10 @@ def confidence_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols
 
 
 def packed_photograph(
-    samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool
+    samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool, quality: int = JPEG_QUALITY
 ) -> tuple[bytes, dict[str, Any]]:
     """A photograph as a file, and its kind and size."""
-    kind, data = ("png", _png_bytes(samples)) if is_lossless else ("jpeg", jpeg_bytes(samples, JPEG_QUALITY))
+    kind, data = ("png", _png_bytes(samples)) if is_lossless else ("jpeg", jpeg_bytes(samples, quality))
     return data, {"type": f"image/{kind}", "width": samples.shape[1], "height": samples.shape[0]}
 
 

@@ -1,4 +1,4 @@
-"""A packed walk as one HTML file that loads nothing, or as a folder for a server."""
+"""A packed walk as one HTML file that loads nothing, or as a folder for a server; and its program as an ES module."""
 
 import base64
 import hashlib
@@ -10,69 +10,76 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli.interpolation.viewer.contents import RULES, Walk
-from omnisyn_cli.io.outputs import staged_folder, write_parts
+from omnisyn_cli.io.outputs import write_parts
 
 MAX_PAGE_BYTES = 32 * 2**20
 """Of one file: what phones open without running out of memory."""
 
 SCRIPTS = (
-    "vectors", "blocks", "shaders", "surface", "renderer", "world", "walker", "controls", "fade", "headset", "main",
+    "vectors", "blocks", "shaders", "surface", "renderer", "world", "walker", "controls", "fade", "headset", "map",
+    "hotspots", "walk",
 )  # fmt: skip
-"""Files of ``web``, in the order in which they need each other."""
+"""Files of ``web`` that make up the module, in the order in which they need each other."""
+
+INDEX_NAME, MODULE_NAME, MANIFEST_NAME = "index.html", "omnisyn-walk.js", "walk.json"
+"""Files of a folder besides its blocks."""
+
+
+NEEDS_A_SERVER = "<p>Browsers read the files of this walk from a web server only, such as omnisyn view --serve.</p>\n"
+"""What a folder's page shows where it cannot load its program."""
+
+
+def block_name(number: int) -> str:
+    """File name of a block in a folder."""
+    return f"{number:04d}.bin"
 
 
 def write_page(path: Path, walk: Walk) -> int:
     """Write the walk as one file, whole or not at all; how many bytes it has."""
-    page = single_page(walk)
+    blocks = "".join(
+        f'<script type="text/plain" id="block-{number}">{base64.b64encode(content).decode("ascii")}</script>\n'
+        for number, content in enumerate(walk.contents)
+    )
+    held = f'<script type="application/json" id="walk">{_for_script(walk.manifest)}</script>\n{blocks}'
+    page = _page(walk.title, held, module_code() + _read("page.js"), folder=False)
     write_parts(path, [page])
     return len(page)
 
 
-def write_folder(folder: Path, walk: Walk) -> int:
-    """Write the walk as a folder for a server; files of other walks in it stay. How many bytes it has."""
-    files = page_files(walk)
-    with staged_folder(folder) as staged:
-        for name, content in files.items():
-            write_parts(staged / name, [content])
+def write_folder(folder: Path, walk: Walk, blocks: int) -> int:
+    """Write what a folder has besides its blocks, of which there are so many; how many bytes that is."""
+    names = [block_name(number) for number in range(blocks)]
+    script = f"import {{ OmnisynWalk }} from './{MODULE_NAME}';\n{_read('page.js')}"
+    files = {
+        INDEX_NAME: _page(walk.title, NEEDS_A_SERVER, script, folder=True),
+        MODULE_NAME: module_code().encode(),
+        MANIFEST_NAME: _for_script({**walk.manifest, "files": names}).encode(),
+    }
+    for name, content in files.items():
+        write_parts(folder / name, [content])
     return sum(map(len, files.values()))
 
 
-def single_page(walk: Walk) -> bytes:
-    """The walk as one file."""
-    blocks = "".join(
-        f'<script type="text/plain" id="block-{number}">{base64.b64encode(content).decode("ascii")}</script>\n'
-        for number, content in enumerate(walk.blocks.contents)
-    )
-    return _page(walk, blocks, connect="'none'")
-
-
-def page_files(walk: Walk) -> dict[str, bytes]:
-    """The walk as files of a folder by name: ``index.html`` and what it fetches."""
-    names = [f"{number:04d}.bin" for number in range(len(walk.blocks.contents))]
-    served = Walk(walk.title, {**walk.manifest, "files": names}, walk.blocks)
-    return {"index.html": _page(served, "", connect="'self'"), **dict(zip(names, walk.blocks.contents, strict=True))}
-
-
-def _page(walk: Walk, blocks: str, *, connect: str) -> bytes:
-    """Nothing runs or styles but what has these hashes; nothing is fetched but from ``connect``."""
-    script, style = page_code()
+def _page(title: str, held: str, script: str, *, folder: bool) -> bytes:
+    """Nothing runs or styles but what has these hashes; in a folder also what lies beside the page."""
+    style, own, connect = _read("page.css"), " 'self'" if folder else "", "'self'" if folder else "'none'"
     policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
+        f"default-src 'none'; script-src {_hash(script)}{own}; style-src {_hash(style)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
-    values = {"policy": policy, "title": walk.title, "style": style, "blocks": blocks, "script": script}
-    return _web().get_template("page.html").render(values, walk=_for_script(walk.manifest)).encode()
+    values = {"policy": policy, "title": title, "style": style, "held": held, "script": script}
+    return _web().get_template("page.html").render(values).encode()
 
 
 @cache
-def page_code() -> tuple[str, str]:
-    """All scripts as one, behind the rules as constants of theirs and of shaders; and the style."""
+def module_code() -> str:
+    """The program as one ES module, with the rules as constants of scripts and shaders, its elements and its style."""
     numbers = {name: f"{value:.9g}" for name, value in RULES.items()}
     defines = "".join(f"#define {name} {_with_point(number)}\n" for name, number in numbers.items())
     constants = "".join(f"const {name} = {number};\n" for name, number in numbers.items())
-    parts = "\n".join(_read(f"{name}.js") for name in SCRIPTS)
-    script = f"'use strict';\n(() => {{\n{constants}const CONSTANTS = `{defines}`;\n{parts}}})();\n"
-    return script, _read("page.css")
+    texts = {"MARKUP": _read("walk.html"), "STYLE": _read("walk.css")}
+    held = "".join(f"const {name} = {_for_script(text)};\n" for name, text in texts.items())
+    return f"{constants}const CONSTANTS = `{defines}`;\n{held}" + "\n".join(_read(f"{name}.js") for name in SCRIPTS)
 
 
 def _with_point(number: str) -> str:

@@ -1,7 +1,10 @@
 """From a job to a walk: what is asked for is checked, depth is found, the page is written."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
@@ -14,8 +17,8 @@ from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
-from omnisyn_cli.interpolation.viewer.page import MAX_PAGE_BYTES, write_folder, write_page
-from omnisyn_cli.io.outputs import check_empty_folder, check_kept
+from omnisyn_cli.interpolation.viewer.page import MAX_PAGE_BYTES, block_name, write_folder, write_page
+from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder, write_parts
 from omnisyn_cli.types import DepthEstimator
 
 JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
@@ -115,21 +118,31 @@ def run_view(
     disk is full.
     """
     clock = Stopwatch()
-    packer = TourPacker(plan, plan.job.options)
     pairs: dict[int, PairConfidence] = {}
     left_out: dict[int, float] = {}
-    for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
-        refuse_doubtful(plan, pair.index, pair.check.confidence)
-        with clock("pack"):
-            packer.add(pair)
-        if not plan.job.is_folder:
-            _check_size(plan, packer)
-        if on_pair:
-            on_pair(done)
-    with clock("write"):
-        write = write_folder if plan.job.is_folder else write_page
-        size = write(plan.job.output, packer.packed())
+    with staged_folder(plan.job.output) if plan.job.is_folder else nullcontext() as staged:
+        keep = None if staged is None else partial(_write_block, staged)
+        packer = TourPacker(plan, plan.job.options, keep)
+        for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
+            refuse_doubtful(plan, pair.index, pair.check.confidence)
+            with clock("pack"):
+                packer.add(pair)
+            if staged is None:
+                _check_size(plan, packer)
+            if on_pair:
+                on_pair(done)
+        with clock("write"):
+            walk = packer.packed()
+            if staged is None:
+                size = write_page(plan.job.output, walk)
+            else:
+                size = packer.blocks.size + write_folder(staged, walk, len(packer.blocks))
     return ViewSummary(plan, clock.with_total(), pairs, left_out, size)
+
+
+def _write_block(folder: Path, number: int, content: bytes) -> None:
+    """At once, so that a long tour does not have to be held."""
+    write_parts(folder / block_name(number), [content])
 
 
 def _check_size(plan: ViewPlan, packer: TourPacker) -> None:

@@ -8,6 +8,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from omnisyn_cli.interpolation.viewer.page import INDEX_NAME, MANIFEST_NAME, MODULE_NAME
 from omnisyn_cli.io.documents import read_file_itself
 
 HOST = "127.0.0.1"
@@ -15,10 +16,15 @@ HOST = "127.0.0.1"
 LOCAL_NAMES = (HOST, "localhost")
 """Names of this machine. A page from elsewhere may have its own name lead here, and must not read what is answered."""
 
-INDEX_NAME = "index.html"
+CONTENT_TYPES = {
+    INDEX_NAME: "text/html; charset=utf-8",
+    MODULE_NAME: "text/javascript; charset=utf-8",
+    MANIFEST_NAME: "application/json",
+}
+"""Of files with names of their own; all others are blocks."""
 
-SERVED_NAME = re.compile(rf"{re.escape(INDEX_NAME)}|\d+\.bin", re.ASCII)
-"""What :func:`omnisyn_cli.interpolation.viewer.page.page_files` names."""
+BLOCK_NAME = re.compile(r"\d+\.bin", re.ASCII)
+"""What :func:`omnisyn_cli.interpolation.viewer.page.block_name` names."""
 
 SOCKET_TIMEOUT_SECONDS = 30
 
@@ -49,8 +55,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         self.send_response(HTTPStatus.OK)
-        is_page = name == INDEX_NAME
-        self.send_header("Content-Type", "text/html; charset=utf-8" if is_page else "application/octet-stream")
+        self.send_header("Content-Type", CONTENT_TYPES.get(name, "application/octet-stream"))
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
         if self.command == "GET":
@@ -62,7 +67,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _content(self, name: str) -> bytes | None:
         """A file of the walk; None for every other name, and for links, which lead elsewhere."""
-        return read_file_itself(self._folder / name) if SERVED_NAME.fullmatch(name) else None
+        is_known = name in CONTENT_TYPES or BLOCK_NAME.fullmatch(name)
+        return read_file_itself(self._folder / name) if is_known else None
 
     def send_response(self, code: int, message: str | None = None) -> None:
         """The first line of an answer, without name and version of the program."""

@@ -1,22 +1,8 @@
-// What the page carries: blocks of bytes in base64, or files beside it; maps in them are predicted and deflated.
+// What a walk carries: blocks of bytes; maps in them are predicted and deflated.
 
 class Blocks {
-  constructor(names) {
-    this.names = names; // of files, or null where blocks are inside the page
-  }
-
-  async bytes(id) {
-    if (this.names) {
-      if (location.protocol === 'file:') throw new Error('browsers read the files of a folder from a web server only, such as omnisyn view --serve');
-      const answer = await fetch(this.names[id]);
-      if (!answer.ok) throw new Error(`${this.names[id]}: expected a file of this walk, got ${answer.status}`);
-      return new Uint8Array(await answer.arrayBuffer());
-    }
-    const element = document.getElementById(`block-${id}`);
-    const text = atob(element.textContent);
-    const bytes = new Uint8Array(text.length);
-    for (let k = 0; k < bytes.length; k++) bytes[k] = text.charCodeAt(k);
-    return bytes;
+  constructor(read) {
+    this.bytes = read; // the bytes of a block by its number, as a promise
   }
 
   async picture(photo) {
@@ -24,16 +10,42 @@ class Blocks {
     return createImageBitmap(blob, { premultiplyAlpha: 'none', colorSpaceConversion: 'none' });
   }
 
+  // An address for `<img>`; whoever asks revokes it.
+  async address(photo) {
+    return URL.createObjectURL(new Blob([await this.bytes(photo.block)], { type: photo.type }));
+  }
+
   // A map of `rows × cols` whole numbers of one or two bytes.
   async map({ block, rows, cols, depth }) {
-    const stream = new Blob([await this.bytes(block)]).stream().pipeThrough(new DecompressionStream('deflate'));
-    const planes = new Uint8Array(await new Response(stream).arrayBuffer());
+    const planes = await this.inflated(block);
     const count = rows * cols;
     const values = depth === 2 ? new Uint16Array(count) : planes;
     if (depth === 2) for (let k = 0; k < count; k++) values[k] = planes[k] | (planes[count + k] << 8);
     undoPrediction(values, rows, cols);
     return values;
   }
+
+  async floats(block) {
+    return new Float32Array((await this.inflated(block)).buffer);
+  }
+
+  async inflated(block) {
+    const stream = new Blob([await this.bytes(block)]).stream().pipeThrough(new DecompressionStream('deflate'));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  }
+}
+
+// What a walk is made from: the address of its manifest, or an object with `manifest` and `bytes(block)`.
+async function openedSource(source) {
+  if (typeof source !== 'string' && !(source instanceof URL)) return source;
+  const base = new URL(source, document.baseURI);
+  const read = async (name) => {
+    const answer = await fetch(new URL(name, base));
+    if (!answer.ok) throw new Error(`${name}: expected a file of this walk, got ${answer.status}`);
+    return answer;
+  };
+  const manifest = await (await read(base)).json();
+  return { manifest, bytes: async (block) => new Uint8Array(await (await read(manifest.files[block])).arrayBuffer()) };
 }
 
 // Each value was kept as what it is above left + above − above left; beyond the first row and column all is 0.

@@ -9,8 +9,12 @@ const TILTS = { ArrowUp: 1, ArrowDown: -1 }; // with the shift key
 const ZOOMS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 const TURNING = 1.2; // radians a second
 
+// Whether a key is meant for a walk, and not for a browser's shortcut, a slider or a field.
+const isForWalk = (event) => !(event.ctrlKey || event.metaKey || event.altKey || event.composedPath()[0] instanceof HTMLInputElement);
+
 class Controls {
-  constructor(element, walker, onChange, onTap) {
+  // Pointers are those over `element`, keys those that `keys` is told about until `signal` ends it.
+  constructor(element, keys, walker, onChange, onTap, signal) {
     Object.assign(this, { element, walker, onChange, onTap });
     this.pointers = new Map();
     this.held = new Set();
@@ -19,9 +23,9 @@ class Controls {
     for (const kind of ['pointerup', 'pointercancel']) element.addEventListener(kind, (event) => this.release(event));
     element.addEventListener('wheel', (event) => this.wheel(event), { passive: false });
     element.addEventListener('contextmenu', (event) => event.preventDefault());
-    window.addEventListener('keydown', (event) => this.key(event, true));
-    window.addEventListener('keyup', (event) => this.key(event, false));
-    window.addEventListener('blur', () => this.held.clear());
+    keys.addEventListener('keydown', (event) => this.key(event, true), { signal });
+    keys.addEventListener('keyup', (event) => this.key(event, false), { signal });
+    for (const target of [keys, window]) target.addEventListener('blur', () => this.held.clear(), { signal });
   }
 
   get radiansPerPixel() {
@@ -65,13 +69,13 @@ class Controls {
     event.preventDefault();
     const lines = event.deltaMode === 1 ? 16 : 1;
     if (event.ctrlKey) this.walker.zoom(Math.exp(0.01 * event.deltaY * lines)); // a pinch on a touch pad
-    else this.walker.walk(-this.walker.sense * 0.002 * event.deltaY * lines);
+    else this.walker.walk(-0.002 * event.deltaY * lines);
     this.interrupt();
   }
 
   key(event, isDown) {
     if (!isDown) this.held.delete(event.code); // wherever and with whatever it is let go
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLInputElement) return;
+    if (!isForWalk(event)) return;
     if (![KEYS, TURNS, ZOOMS].some((keys) => event.code in keys)) return;
     event.preventDefault();
     this.isShifted = event.shiftKey;
@@ -82,7 +86,7 @@ class Controls {
   }
 
   interrupt() {
-    Object.assign(this.walker, { isPlaying: false, goal: null });
+    this.walker.stop();
     this.onChange();
   }
 

@@ -7,10 +7,10 @@ class FlatFade {
 
   draw(walker, world) {
     const { canvas } = this.paper;
-    const { pair, t } = world.pairAt(walker.s);
+    const { link, t } = walker;
     this.paper.fillRect(0, 0, canvas.width, canvas.height);
-    [[pair, 1], [pair + 1, t]].forEach(([index, share]) => {
-      const { bitmap, rotation } = world.panoramas[index];
+    [[link.ends[0], 1], [link.ends[1], t]].forEach(([index, share]) => {
+      const { rotation } = world.panoramas[index], bitmap = world.pictureOf(index)?.bitmap;
       if (!bitmap || share <= 0) return;
       const scale = canvas.height / (bitmap.height * walker.fov / Math.PI);
       const own = lookOfDirection(unrotated(rotation, rotated(walker.rotation, [0, 0, -1])));

@@ -17,7 +17,8 @@ class Headset {
     const space = await session.requestReferenceSpace('local');
     session.addEventListener('end', onEnd);
     session.addEventListener('select', () => {
-      this.walker.goTo(this.walker.sense > 0 ? Math.floor(this.walker.s + 1) : Math.ceil(this.walker.s - 1), false);
+      const way = this.walker.wayOut(this.walker.ahead);
+      if (way) this.walker.goTo(way.link.ends[way.sense > 0 ? 1 : 0], false);
     });
     let before = null;
     const frame = (time, xr) => {
@@ -33,7 +34,7 @@ class Headset {
   draw(session, pose) {
     if (!pose) return;
     const { baseLayer } = session.renderState;
-    const scene = this.world.sceneAt(this.gl, this.walker.s);
+    const scene = this.world.sceneAt(this.walker);
     if (!scene) return;
     const turn = rotationOfLook(this.walker.yaw, 0);
     for (const view of pose.views) {

@@ -129,6 +129,32 @@ class Renderer {
     this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
   }
 
+  // The nearest inverse depth that is seen at pixels of the picture drawn last, the least of three by three around each;
+  // null where no surface is drawn. Pixels count from the lower left corner.
+  nearestAt(pixels, scene, [width, height]) {
+    const { gl } = this;
+    if (!pixels.length || !this.targets) return [];
+    const margin = [(this.targets.size[0] - width) / 2, (this.targets.size[1] - height) / 2];
+    const shown = scene.views.map((view, k) => view.surface && scene.t !== 1 - k);
+    const values = new Float32Array(36);
+    return pixels.map(([x, y]) => {
+      const nearest = new Array(9).fill(-1);
+      for (const k of [0, 1]) {
+        if (!shown[k]) continue;
+        gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.surfaces[k]);
+        gl.readPixels(Math.floor(x) - 1 + margin[0], Math.floor(y) - 1 + margin[1], 3, 3, gl.RGBA, gl.FLOAT, values);
+        for (let at = 0; at < 9; at++) nearest[at] = Math.max(nearest[at], values[4 * at]);
+      }
+      return shown[0] || shown[1] ? Math.min(...nearest) : null;
+    });
+  }
+
+  // Bytes of graphics memory of what is drawn into.
+  get bytes() {
+    const pixels = this.targets ? this.targets.size[0] * this.targets.size[1] : 0;
+    return pixels * (4 + 2 * 4 + 8 * MIP_SHARE + 8 * (MIP_SHARE - 1));
+  }
+
   // Colours (8 bits, rows from the top) and inverse depths of both surfaces (negative where there is none).
   capture(eye, scene, [width, height]) {
     const { gl } = this;

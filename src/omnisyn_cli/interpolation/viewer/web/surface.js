@@ -59,6 +59,7 @@ class Surface {
       }
     }
     this.triangles = index / 3 + 8 * cut;
+    this.bytes = 2 * index + 4 * cut + 4 * quads.length + 4 * rows * cols * (this.trust ? 1 : 0);
     this.indices = buffer(gl, gl.ELEMENT_ARRAY_BUFFER, indices.subarray(0, index));
     this.cuts = buffer(gl, gl.ARRAY_BUFFER, cuts.subarray(0, cut));
     return tiles;

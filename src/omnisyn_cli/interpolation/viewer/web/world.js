@@ -1,147 +1,253 @@
-// The walk: panoramas along a way, pairs of neighbours with their surfaces, loaded when they are needed.
+// The walk: panoramas and the links between them. What is needed near a place is loaded, what lies farther away goes.
+
+const MEGABYTE = 2 ** 20;
+const BUDGET = { usual: 256 * MEGABYTE, phone: 112 * MEGABYTE }; // of graphics memory, besides the picture itself
+const PHONE_COLUMNS = 2048; // of photographs on small screens
+const VERTEX_BYTES = 18; // of a surface on the graphics processor, about
+const MIP_SHARE = 4 / 3;
+const STILL = 1e-6; // metres between panoramas taken at one place
 
 class World {
-  constructor(walk, blocks) {
-    Object.assign(this, { walk, blocks });
-    this.panoramas = walk.panoramas.map((panorama) => ({ ...panorama, bitmap: null }));
-    this.lengths = walk.panoramas.slice(1).map((next, k) => length(minus(next.position, walk.panoramas[k].position)));
+  constructor(walk, blocks, gl, { isPhone = false, budget = BUDGET[isPhone ? 'phone' : 'usual'] } = {}) {
+    Object.assign(this, { walk, blocks, gl, isPhone, budget });
+    this.panoramas = walk.panoramas.map((panorama, index) => ({ ...panorama, index, links: [] }));
+    this.links = walk.links.map((link, index) => {
+      const [first, second] = link.panoramas.map((k) => this.panoramas[k]);
+      const way = minus(second.position, first.position), metres = length(way);
+      const made = { ...link, index, ends: link.panoramas, metres, way: metres > STILL ? times(way, 1 / metres) : null };
+      for (const panorama of [first, second]) panorama.links.push(made);
+      return made;
+    });
+    this.isChain = this.links.every((link, k) => link.ends[0] === k && link.ends[1] === k + 1);
     this.last = walk.panoramas.length - 1;
-    this.maps = new Map(); // of pairs: decoded maps
-    this.onGraphics = new Map(); // of photographs and pairs: textures and surfaces
+    this.things = new Map(); // what is loaded, by its key
     this.pending = new Map();
+    this.wanted = new Set();
+    Object.assign(this, { round: 0, era: 0 });
   }
 
-  // Where somebody is who has come so far: panorama k is at k.
-  pointAt(s) {
-    const { pair, t } = this.pairAt(s);
-    return mixed(this.panoramas[pair].position, this.panoramas[pair + 1].position, t);
+  pointAt({ link, t }) {
+    return mixed(this.panoramas[link.ends[0]].position, this.panoramas[link.ends[1]].position, t);
   }
 
-  pairAt(s) {
-    const pair = clamp(Math.floor(s), 0, this.last - 1);
-    return { pair, t: clamp(s - pair, 0, 1) };
+  otherEnd(link, panorama) {
+    return link.ends[0] === panorama ? link.ends[1] : link.ends[0];
   }
 
-  along(pair) {
-    const way = minus(this.panoramas[pair + 1].position, this.panoramas[pair].position);
-    return this.lengths[pair] > STILL ? times(way, 1 / this.lengths[pair]) : null;
+  // Metres that a link takes; panoramas at one place are a metre apart.
+  lengthOf(link) {
+    return link.metres > STILL ? link.metres : 1;
   }
 
-  // How far along the way the place is that is nearest to a position.
+  // The place on any link that is nearest to a position.
   nearestTo(position) {
-    let best = { s: 0, distance: Infinity };
-    for (let pair = 0; pair < this.last; pair++) {
-      const direction = this.along(pair);
-      const from = minus(position, this.panoramas[pair].position);
-      const t = direction ? clamp(dot(from, direction) / this.lengths[pair], 0, 1) : 0;
-      const distance = length(minus(position, this.pointAt(pair + t)));
-      if (distance < best.distance) best = { s: pair + t, distance };
+    let best = { distance: Infinity };
+    for (const link of this.links) {
+      const from = minus(position, this.panoramas[link.ends[0]].position);
+      const t = link.way ? clamp(dot(from, link.way) / link.metres, 0, 1) : 0;
+      const distance = length(minus(position, this.pointAt({ link, t })));
+      if (distance < best.distance) best = { link, t, distance };
     }
-    return best.s;
+    return best;
   }
 
-  once(key, make) {
-    if (!this.pending.has(key)) {
-      this.pending.set(key, make().catch((error) => { this.pending.delete(key); throw error; }));
+  // Metres from a place to every panorama, and the panorama before each on the shortest way (Dijkstra).
+  distances({ link, t }) {
+    const found = this.panoramas.map(() => ({ metres: Infinity, before: null, isDone: false }));
+    found[link.ends[0]].metres = t * this.lengthOf(link);
+    found[link.ends[1]].metres = (1 - t) * this.lengthOf(link);
+    for (;;) {
+      const open = found.map((one, k) => (one.isDone ? Infinity : one.metres));
+      const here = open.indexOf(Math.min(...open));
+      if (open[here] === Infinity) return found;
+      found[here].isDone = true;
+      for (const one of this.panoramas[here].links) {
+        const next = found[this.otherEnd(one, here)], metres = found[here].metres + this.lengthOf(one);
+        if (metres < next.metres) Object.assign(next, { metres, before: here });
+      }
     }
-    return this.pending.get(key);
   }
 
-  photograph(index) {
-    return this.once(`photo ${index}`, async () => {
-      const panorama = this.panoramas[index];
-      panorama.usable = panorama.mask && await this.blocks.map(panorama.mask);
-      panorama.bitmap = await this.blocks.picture(panorama.photo);
-      return panorama;
+  // Panoramas on the shortest way from a place, the last one included; none where no links lead there.
+  pathTo(place, panorama, found = this.distances(place)) {
+    if (found[panorama].metres === Infinity) return [];
+    const path = [];
+    for (let k = panorama; k !== null; k = found[k].before) path.unshift(k);
+    return path;
+  }
+
+  // A way through all panoramas that can be reached: on along a chain, else always to the nearest one not yet seen.
+  pathThroughAll(place) {
+    if (this.isChain) return this.panoramas.map((_, k) => k).slice(Math.floor(place.link.index + place.t) + 1);
+    const path = [], left = new Set(this.panoramas.keys());
+    for (let here = place; left.size;) {
+      const found = this.distances(here);
+      const next = [...left].reduce((a, b) => (found[b].metres < found[a].metres ? b : a));
+      if (found[next].metres === Infinity) break;
+      const part = this.pathTo(here, next, found);
+      path.push(...part);
+      part.forEach((k) => left.delete(k));
+      const link = this.panoramas[next].links[0];
+      here = { link, t: link.ends[0] === next ? 0 : 1 };
+    }
+    return path.filter((k, at) => k !== path[at - 1]);
+  }
+
+  // What should be loaded, the most urgent first: all of the link that one stands in, then what fits of the next links.
+  wants(walker) {
+    const { link, nearest } = walker, other = this.otherEnd(link, nearest);
+    const now = [
+      this.photo(nearest, true), this.photo(nearest), this.mask(nearest), this.photo(other, true), ...this.surfaces(link),
+      this.photo(other), this.mask(other),
+    ];
+    const toward = (one) => {
+      const end = this.otherEnd(one, nearest);
+      const from = minus(this.panoramas[end].position, this.panoramas[nearest].position);
+      return end === walker.next ? 2 : dot(from, walker.ahead) / Math.max(length(from), STILL);
+    };
+    const links = this.panoramas[nearest].links.filter((one) => one !== link).sort((a, b) => toward(b) - toward(a));
+    const soon = links.flatMap((one) => {
+      const end = this.otherEnd(one, nearest);
+      return [this.photo(end, true), ...this.surfaces(one), this.photo(end), this.mask(end)];
     });
+    const known = new Set();
+    let bytes = 0;
+    return [...now, ...soon].filter((want, k) => {
+      if (!want || known.has(want.key) || (k >= now.length && bytes + want.bytes > this.budget)) return false;
+      known.add(want.key);
+      bytes += want.bytes;
+      return true;
+    }).map((want) => ({ ...want, isNow: now.includes(want) }));
   }
 
-  pair(index) {
-    return this.once(`pair ${index}`, async () => {
-      await Promise.all([this.photograph(index), this.photograph(index + 1)]);
-      const maps = await Promise.all(this.walk.pairs[index].surfaces.map(async (surface) => ({
-        rows: surface.rows, cols: surface.cols, poles: surface.poles,
-        inverseDepth: inverseDepths(await this.blocks.map(surface.inverseDepth), surface.peak),
-        quads: await this.blocks.map(surface.quads),
-        trust: surface.trust && await this.blocks.map(surface.trust),
-      })));
-      this.maps.set(index, maps);
+  photo(index, isPreview = false) {
+    const levels = this.panoramas[index].photo;
+    const fits = levels.filter(({ width }) => !this.isPhone || width <= PHONE_COLUMNS);
+    const level = isPreview || !fits.length ? levels[0] : fits.at(-1);
+    const bytes = 4 * MIP_SHARE * level.width * level.height;
+    return { key: `photo ${index} ${levels.indexOf(level)}`, bytes, make: async () => {
+      const bitmap = await this.blocks.picture(level);
+      if (!this.gl) return { bytes, bitmap, dispose: () => bitmap.close() };
+      const made = photoTexture(this.gl, bitmap);
+      bitmap.close();
+      return { bytes, texture: made, dispose: () => this.gl.deleteTexture(made) };
+    } };
+  }
+
+  mask(index) {
+    const { mask } = this.panoramas[index];
+    if (!mask || !this.gl) return null;
+    const bytes = MIP_SHARE * mask.rows * mask.cols;
+    return { key: `mask ${index}`, bytes, make: async () => {
+      const made = byteTexture(this.gl, mask.cols, mask.rows, await this.blocks.map(mask), this.gl.REPEAT, this.gl.LINEAR_MIPMAP_LINEAR);
+      return { bytes, texture: made, dispose: () => this.gl.deleteTexture(made) };
+    } };
+  }
+
+  // Both surfaces of a link, and how its photographs are exposed.
+  surfaces(link) {
+    if (!this.gl) return [];
+    const surfaces = link.surfaces.map((index) => {
+      const surface = this.walk.surfaces[index];
+      return { key: `surface ${index}`, bytes: VERTEX_BYTES * surface.rows * surface.cols, make: async () => {
+        const [codes, quads, trust] = await Promise.all(
+          [surface.inverseDepth, surface.quads, surface.trust].map((map) => map && this.blocks.map(map)));
+        return new Surface(this.gl, { ...surface, inverseDepth: inverseDepths(codes, surface.peak), quads, trust });
+      } };
     });
+    const exposure = link.exposure !== null && { key: `exposure ${link.index}`, bytes: 8192, make: async () => {
+      const gains = await this.blocks.floats(link.exposure), half = gains.length / 2;
+      const both = [0, 1].map((end) => new Exposure(this.gl, gains.subarray(end * half, (end + 1) * half), end));
+      return { bytes: 8192, both, dispose: () => both.forEach((one) => one.dispose()) };
+    } };
+    return [...surfaces, exposure];
   }
 
-  isReady(pair) {
-    return this.maps.has(pair);
+  // Loads what is wanted at a place. False: somewhere else became more urgent. `onStep` is told what has come.
+  async prepare(walker, onStep) {
+    const wants = this.wants(walker), round = ++this.round;
+    this.wanted = new Set(wants.map((want) => want.key));
+    for (const [key, thing] of this.things) if (!this.wanted.has(key)) this.drop(key, thing);
+    const [first, ...rest] = wants;
+    await this.load(first);
+    onStep(wants);
+    const isStale = () => round !== this.round;
+    await Promise.all(rest.filter((want) => want.isNow).map((want) => this.load(want).then(() => isStale() || onStep(wants))));
+    for (const want of rest) {
+      if (isStale()) return false;
+      if (this.things.has(want.key)) continue;
+      await this.load(want);
+      onStep(wants);
+    }
+    return !isStale();
   }
 
-  // What is drawn at a place of the way: both views of its pair, flat and cross-faded as long as surfaces are missing.
-  sceneAt(gl, s) {
-    const { pair, t } = this.pairAt(s);
-    const isReady = this.isReady(pair);
-    const { isCrossFade, exposure } = this.walk.pairs[pair];
-    const views = [0, 1].map((k) => this.viewOf(gl, pair, k, isReady, exposure?.[k]));
-    const shown = views.filter((view) => view !== null);
-    if (shown.length < 2) return shown.length && { t: 0, isCrossFade: true, views: [shown[0], shown[0]] };
-    this.forgetFarFrom(gl, pair);
-    return { t, isCrossFade: isCrossFade || !isReady, views };
-  }
-
-  viewOf(gl, pair, k, isReady, gains) {
-    const panorama = this.panoramas[pair + k];
-    if (!panorama.bitmap) return null;
-    const made = this.kept(`photo ${pair + k}`, () => ({
-      photo: photoTexture(gl, panorama.bitmap),
-      mask: panorama.usable && byteTexture(gl, panorama.mask.cols, panorama.mask.rows, panorama.usable, gl.REPEAT,
-        gl.LINEAR_MIPMAP_LINEAR),
-    }));
-    const { position, rotation } = panorama;
-    const surface = isReady ? this.kept(`surface ${pair} ${k}`, () => new Surface(gl, this.maps.get(pair)[k])) : null;
-    const exposure = gains && isReady ? this.kept(`exposure ${pair} ${k}`, () => new Exposure(gl, gains, k)) : null;
-    return { ...made, position, rotation, surface, exposure };
-  }
-
-  kept(key, make) {
-    if (!this.onGraphics.has(key)) this.onGraphics.set(key, make());
-    return this.onGraphics.get(key);
-  }
-
-  // The pair that is walked through and its neighbours, nearest first.
-  near(pair) {
-    return [pair, pair + 1, pair - 1].filter((index) => index >= 0 && index < this.last);
-  }
-
-  // Of what lies farther away only the packed bytes stay.
-  forgetFarFrom(gl, pair) {
-    const near = this.near(pair);
-    for (const index of this.maps.keys()) if (!near.includes(index)) this.forget(`pair ${index}`, () => this.maps.delete(index));
-    this.panoramas.forEach((panorama, index) => {
-      if (!panorama.bitmap || near.some((one) => one === index || one + 1 === index)) return;
-      this.forget(`photo ${index}`, () => {
-        panorama.bitmap.close();
-        panorama.bitmap = null;
+  load(want) {
+    if (this.things.has(want.key)) return Promise.resolve();
+    if (!this.pending.has(want.key)) {
+      const { era } = this;
+      const loaded = want.make().then((thing) => {
+        if (this.wanted.has(want.key) && era === this.era) this.things.set(want.key, thing);
+        else thing.dispose();
       });
-    });
-    this.forgetTextures(gl, pair);
-  }
-
-  forget(key, drop) {
-    this.pending.delete(key);
-    drop();
-  }
-
-  forgetTextures(gl, pair) {
-    for (const [key, made] of this.onGraphics) {
-      const [kind, index] = key.split(' ');
-      const distance = Number(index) - pair;
-      if (kind === 'photo' ? distance >= -1 && distance <= 2 : Math.abs(distance) <= 1) continue;
-      if (made.dispose) made.dispose();
-      else [made.photo, made.mask].forEach((one) => one && gl.deleteTexture(one));
-      this.onGraphics.delete(key);
+      this.pending.set(want.key, loaded.finally(() => this.pending.delete(want.key)));
     }
+    return this.pending.get(want.key);
+  }
+
+  // All of one link, whatever else is wanted.
+  async need(link) {
+    const wants = [...link.ends.flatMap((end) => [this.photo(end), this.mask(end)]), ...this.surfaces(link)].filter(Boolean);
+    wants.forEach((want) => this.wanted.add(want.key));
+    await Promise.all(wants.map((want) => this.load(want)));
+  }
+
+  drop(key, thing) {
+    thing.dispose();
+    this.things.delete(key);
+  }
+
+  isReady(link) {
+    return link.surfaces.every((index) => this.things.has(`surface ${index}`));
+  }
+
+  // Bytes of graphics memory of all that is loaded.
+  get bytes() {
+    return [...this.things.values()].reduce((sum, thing) => sum + thing.bytes, 0);
+  }
+
+  // The largest picture of a panorama that is there, or null.
+  pictureOf(index) {
+    const { photo } = this.panoramas[index];
+    for (let level = photo.length - 1; level >= 0; level--) {
+      const thing = this.things.get(`photo ${index} ${level}`);
+      if (thing) return thing;
+    }
+    return null;
+  }
+
+  // What is drawn at a place: both views of its link, flat and cross-faded as long as surfaces are missing.
+  sceneAt({ link, t }) {
+    const isReady = this.isReady(link);
+    const views = link.ends.map((index, k) => {
+      const picture = this.pictureOf(index), { position, rotation } = this.panoramas[index];
+      if (!picture) return null;
+      const surface = isReady ? this.things.get(`surface ${link.surfaces[k]}`) : null;
+      const exposure = (isReady && this.things.get(`exposure ${link.index}`)?.both[k]) || null;
+      const mask = this.things.get(`mask ${index}`)?.texture ?? null;
+      return { photo: picture.texture, mask, position, rotation, surface, exposure };
+    });
+    const shown = views.filter((view) => view !== null);
+    if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, views: [shown[0], shown[0]] } : null;
+    return { t, isCrossFade: link.isCrossFade || !isReady, views };
   }
 
   // After a context was lost nothing of it is left to be deleted.
   forgetGraphics() {
-    this.onGraphics.clear();
+    this.things.clear();
+    this.pending.clear();
+    this.round++;
+    this.era++;
   }
 }
 
@@ -157,7 +263,7 @@ class Exposure {
 
   // omnisyn_cli.fusion.photometry.exposure_matcher.clipped_weight_loss
   lossOfWhite(t) {
-    const stops = Math.min(0, ...this.white.map((gain) => (t - this.end) * gain));
+    const stops = Math.min(0, ...[...this.white].map((gain) => (t - this.end) * gain));
     return Math.min(MAX_CLIPPED_WEIGHT_LOSS, 1 - 2 ** (4 * stops));
   }
 
@@ -165,5 +271,3 @@ class Exposure {
     this.gl.deleteTexture(this.gains);
   }
 }
-
-const STILL = 1e-6; // metres between panoramas taken at one place

@@ -1,0 +1,389 @@
+// A walk in an element of any page: what was packed is unpacked when it is needed, shown, and walked through.
+
+const MOST_PIXELS = 2560 * 1440;
+const SLOW = 40; // milliseconds of a frame above which pictures are made smaller while something moves
+const FORMAT_VERSION = 1;
+const PHONE_SIDE = 600; // pixels of the shorter side of a screen
+
+// See docs/view.md. Options: `keys`, what keys are listened to on (the element itself); `keepsAddress`, whether the
+// place is kept in the address of the page; `hasControls`, whether buttons, map and texts are shown; `budget`, bytes of
+// graphics memory for panoramas; `isPhone`, smaller pictures and a smaller budget.
+export class OmnisynWalk extends EventTarget {
+  constructor(element, source, options = {}) {
+    super();
+    const isPhone = matchMedia('(pointer: coarse)').matches && Math.min(screen.width, screen.height) < PHONE_SIDE;
+    this.options = { keys: null, keepsAddress: false, hasControls: true, isPhone, ...options };
+    this.element = element;
+    this.root = element.attachShadow({ mode: 'open' });
+    this.root.innerHTML = MARKUP;
+    const style = new CSSStyleSheet();
+    style.replaceSync(STYLE);
+    this.root.adoptedStyleSheets = [style];
+    this.$ = (id) => this.root.getElementById(id);
+    this.isStill = matchMedia('(prefers-reduced-motion: reduce)').matches;
+    this.ending = new AbortController();
+    Object.assign(this, { share: 1, isWaiting: false, before: null, renderer: null, gl: null, arrivals: [] });
+    element.dataset.state = 'loading';
+    this.ready = this.begin(source).catch((error) => this.failed(error));
+    this.ready.catch(() => {}); // said in the element, and told to those who wait for it
+  }
+
+  async begin(source) {
+    const { manifest, bytes } = await openedSource(source);
+    if (manifest.version !== FORMAT_VERSION) throw new Error(`expected a walk of version ${FORMAT_VERSION}, got ${manifest.version}`);
+    this.manifest = manifest;
+    this.openCanvas(this.$('view'));
+    this.world = new World(manifest, new Blocks(bytes), this.gl, this.options);
+    this.walker = new Walker(this.world);
+    if (this.options.keepsAddress) this.walker.address = location.hash;
+    this.wire();
+    await this.prepare();
+    this.emit('ready');
+  }
+
+  openCanvas(canvas) {
+    const gl = canvas.getContext('webgl2', { antialias: false, alpha: false, powerPreference: 'high-performance' });
+    this.canvas = canvas;
+    try {
+      if (!gl) throw new Error('WebGL2 is not available');
+      this.renderer = new Renderer(gl, this.manifest.tables);
+      this.gl = gl;
+    } catch (error) {
+      this.useFade(error);
+      return;
+    }
+    canvas.addEventListener('webglcontextlost', (event) => {
+      event.preventDefault();
+      this.renderer = null;
+      this.world.forgetGraphics();
+      this.say('The picture was lost; waiting for it to come back …');
+    });
+    canvas.addEventListener('webglcontextrestored', () => {
+      this.renderer = new Renderer(gl, this.manifest.tables);
+      this.say('');
+      this.prepare().catch((error) => this.failed(error));
+    });
+  }
+
+  // A canvas that was asked for WebGL gives nothing else.
+  useFade(error) {
+    const fresh = this.canvas.cloneNode(false);
+    this.canvas.replaceWith(fresh);
+    this.canvas = fresh;
+    this.fade = new FlatFade(fresh);
+    this.say(`This browser cannot draw surfaces (${error.message}): the panoramas are cross-faded.`);
+  }
+
+  wire() {
+    const { walker, world, $ } = this;
+    const keys = this.options.keys ?? this.element, { signal } = this.ending;
+    this.controls = new Controls($('stage'), keys, walker, () => this.change(), (x, y) => this.tap(x, y), signal);
+    this.gyroscope = new Gyroscope(walker, () => this.change());
+    for (const id of ['bar', 'where', 'welcome', 'stops']) $(id).hidden = !this.options.hasControls;
+    $('place').max = world.isChain ? world.last : 1;
+    $('place').addEventListener('input', (event) => {
+      const value = Number(event.target.value);
+      walker.stop();
+      Object.assign(walker, world.isChain ? { s: value } : { t: value }, { beside: [0, 0, 0] });
+      this.change();
+    });
+    $('play').addEventListener('click', () => this.togglePlay());
+    $('whole').addEventListener('click', () => (document.fullscreenElement ? document.exitFullscreen() : this.element.requestFullscreen()));
+    $('whole').hidden = !document.fullscreenEnabled;
+    $('sensors').hidden = !Gyroscope.isThere;
+    $('sensors').addEventListener('click', async () => $('sensors').setAttribute('aria-pressed', await this.gyroscope.toggle()));
+    $('help').addEventListener('click', () => this.unfold('help', 'hint', $('hint').hidden));
+    $('mapper').addEventListener('click', () => this.unfold('mapper', 'map', $('map').hidden));
+    Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
+    $('headset').addEventListener('click', () => this.headset.enter(() => this.change()));
+    keys.addEventListener('keydown', (event) => this.key(event), { signal });
+    document.addEventListener('fullscreenchange', () => {
+      $('whole').setAttribute('aria-label', document.fullscreenElement ? 'Leave full screen' : 'Full screen');
+    }, { signal });
+    new ResizeObserver(() => this.change()).observe(this.element);
+    if (this.options.keepsAddress) window.addEventListener('hashchange', () => this.readAddress(), { signal });
+    this.stops = world.panoramas.map((panorama) => this.makeStop(panorama));
+    this.map = new TourMap(this.root, world, (index) => this.goTo(index));
+    this.hotspots = new Hotspots(this.root, world, (spot) => this.emit('hotspot', spot));
+    const hasMap = this.options.hasControls && (!world.isChain || this.manifest.plan) && this.element.clientWidth >= PHONE_SIDE;
+    this.unfold('mapper', 'map', hasMap);
+    this.hasTitles = world.panoramas.some(({ name, title, caption }) => caption || title !== name.replace(/\.[^.]*$/, ''));
+    $('where').toggleAttribute('data-untitled', !this.hasTitles);
+  }
+
+  unfold(button, part, isShown) {
+    this.$(part).hidden = !isShown;
+    this.$(button).setAttribute('aria-expanded', isShown);
+  }
+
+  key(event) {
+    if (event.key === 'Escape') this.unfold('help', 'hint', false);
+    if (!isForWalk(event)) return;
+    if (event.code === 'Space' && !(event.composedPath()[0] instanceof HTMLButtonElement)) {
+      event.preventDefault();
+      this.togglePlay();
+    } else if (event.key === 'Home' || event.key === 'End') this.goTo(event.key === 'Home' ? 0 : this.world.last);
+    else if (event.key === '?') this.$('help').click();
+    else if (event.key === 'f') this.$('whole').click();
+    else if (event.key === 'm') this.$('mapper').click();
+  }
+
+  readAddress() {
+    if (location.hash === this.written) return;
+    this.walker.stop();
+    this.walker.address = location.hash;
+    this.change();
+  }
+
+  get headset() {
+    return new Headset(this.gl, this.renderer, this.walker, this.world);
+  }
+
+  // A button where a panorama was taken: it leads there.
+  makeStop({ index, title }) {
+    const button = document.createElement('button');
+    button.className = 'stop';
+    button.title = title;
+    button.hidden = true;
+    button.setAttribute('aria-label', `Walk to panorama ${index + 1}, ${title}`);
+    button.addEventListener('click', () => this.goTo(index));
+    this.$('stops').append(button);
+    return button;
+  }
+
+  get panoramas() {
+    return this.world.panoramas.map(({ name, title, caption, position }) => ({ name, title, caption, position }));
+  }
+
+  get links() {
+    return this.world.links.map(({ ends }) => ends.map((end) => this.world.panoramas[end].name));
+  }
+
+  // Where one is, in the frame of poses.json; angles in degrees.
+  get place() {
+    const { walker } = this, name = (index) => this.world.panoramas[index].name;
+    const [yaw, pitch, fov] = [walker.yaw, walker.pitch, walker.fov].map((angle) => angle * 180 / Math.PI);
+    return { from: name(walker.link.ends[0]), to: name(walker.link.ends[1]), share: walker.t, nearest: name(walker.nearest), position: walker.position, yaw, pitch, fov };
+  }
+
+  // Walks to a panorama, by its name or number; true once it is there, false where something else was done meanwhile.
+  goTo(panorama, { isSudden = this.isStill } = {}) {
+    const index = typeof panorama === 'number' ? panorama : this.world.panoramas.findIndex(({ name }) => name === panorama);
+    if (!this.world.panoramas[index]) return Promise.reject(new Error(`expected a panorama of this walk, got ${panorama}`));
+    this.walker.goTo(index, isSudden);
+    this.change();
+    return new Promise((resolve) => { this.arrivals.push({ index, resolve }); });
+  }
+
+  // Turns towards angles in degrees, or towards a point of the world.
+  lookAt({ yaw, pitch, fov, point }) {
+    const { walker } = this;
+    if (point) Object.assign(walker, lookOfDirection(minus(point, walker.position)));
+    for (const [key, angle] of Object.entries({ yaw, pitch, fov })) if (Number.isFinite(angle)) walker[key] = angle * Math.PI / 180;
+    walker.pitch = clamp(walker.pitch, -Math.PI / 2, Math.PI / 2);
+    walker.fov = clamp(walker.fov, FIELD.least, FIELD.most);
+    this.change();
+  }
+
+  togglePlay() {
+    if (this.walker.isPlaying) this.walker.stop();
+    else this.walker.play();
+    this.change();
+  }
+
+  // A ring, a mark, or the way that leads closest to there. The stage has the pointer, so that nothing in it is clicked.
+  tap(x, y) {
+    const button = this.root.elementFromPoint(x, y)?.closest('button');
+    if (button) return button.click();
+    const box = this.$('stage').getBoundingClientRect(), lens = lensOf(this.walker.fov, [box.width, box.height]);
+    const at = [(x - box.left) / box.width, (y - box.top) / box.height];
+    const ray = rotated(this.walker.rotation, [(2 * at[0] - 1) / lens[0], (1 - 2 * at[1]) / lens[1], -1]);
+    const way = this.walker.wayOut(times(ray, 1 / length(ray)));
+    return way && this.goTo(way.link.ends[way.sense > 0 ? 1 : 0]);
+  }
+
+  // Loads what is needed at this place: first a small picture, then all of the link, then what lies beyond it.
+  async prepare() {
+    const { world, walker, $ } = this;
+    this.preparedFor = this.needs;
+    const isOpening = this.element.dataset.state === 'loading';
+    await world.prepare(walker, (wants) => {
+      if (this.element.dataset.state === 'failed') return;
+      const now = wants.filter((want) => want.isNow), done = now.filter((want) => world.things.has(want.key)).length;
+      [$('progress').max, $('progress').value] = [now.length, done];
+      if (isOpening && !this.fade) this.say(done < now.length ? `Unpacking surfaces, ${done} of ${now.length} …` : '');
+      if (done === now.length) this.opened();
+      this.change();
+    });
+  }
+
+  opened() {
+    this.$('progress').hidden = true;
+    this.element.dataset.state = 'ready';
+  }
+
+  // What loading depends on.
+  get needs() {
+    return `${this.walker.link.index} ${this.walker.nearest}`;
+  }
+
+  failed(error) {
+    this.$('progress').hidden = true;
+    this.say(`This walk cannot be shown: ${error.message}`);
+    this.element.dataset.state = 'failed';
+    this.emit('error', error);
+    throw error;
+  }
+
+  // Tells listeners; false where one of them took it upon itself.
+  emit(kind, detail = null) {
+    return this.dispatchEvent(new CustomEvent(kind, { detail, cancelable: true }));
+  }
+
+  say(words) {
+    this.$('status').textContent = words;
+    this.$('loading').hidden = words === '';
+  }
+
+  change() {
+    if (this.isWaiting || this.ending.signal.aborted) return;
+    this.isWaiting = true;
+    requestAnimationFrame((time) => this.frame(time));
+  }
+
+  frame(time) {
+    this.isWaiting = false;
+    const { walker } = this;
+    if (walker.hasMoved) this.element.dataset.moved = '';
+    const seconds = this.before === null ? 0 : Math.min((time - this.before) / 1000, 0.5);
+    const keys = this.controls.advance(seconds), isMoving = walker.advance(seconds) || keys;
+    this.before = isMoving || this.controls.held.size ? time : null;
+    this.draw();
+    this.showPlace();
+    if (this.preparedFor !== this.needs) this.prepare().catch((error) => this.failed(error));
+    if (isMoving || walker.isPlaying || walker.goal !== null) this.change();
+    else this.settle();
+    this.tellPlace();
+  }
+
+  tellPlace() {
+    const { walker } = this, { panorama } = walker;
+    for (const index of walker.passed.splice(0)) {
+      if (index !== this.reached) this.emit('arrive', this.world.panoramas[index].name);
+      this.reached = index;
+    }
+    if (panorama === null) this.reached = null;
+    this.arrivals = this.arrivals.filter(({ index, resolve }) => {
+      if (walker.goal === index) return true;
+      resolve(panorama === index);
+      return false;
+    });
+    if (walker.address === this.told) return;
+    this.told = walker.address;
+    this.emit('move', this.place);
+  }
+
+  // At rest the whole picture is drawn, and the address says where one is.
+  settle() {
+    clearTimeout(this.settling);
+    this.settling = setTimeout(() => {
+      if (this.ending.signal.aborted) return;
+      if (this.share < 1) this.draw(1);
+      if (!this.options.keepsAddress) return;
+      this.written = this.walker.address;
+      history.replaceState(null, '', this.written);
+    }, 250);
+  }
+
+  draw(share = this.share) {
+    const sides = [this.element.clientWidth, this.element.clientHeight];
+    const ratio = Math.min(window.devicePixelRatio || 1, Math.sqrt(MOST_PIXELS / Math.max(sides[0] * sides[1], 1)));
+    const size = sides.map((count) => Math.max(Math.round(count * ratio * share), 16));
+    if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
+    if (this.fade) this.fade.draw(this.walker, this.world);
+    else if (this.renderer) this.drawSurfaces(size);
+  }
+
+  drawSurfaces(size) {
+    const { walker, world, renderer, gl } = this;
+    const scene = world.sceneAt(walker);
+    if (!scene) return;
+    const begin = performance.now();
+    const eye = { position: walker.position, rotation: walker.rotation, lens: lensOf(walker.fov, size) };
+    renderer.draw(eye, scene, { viewport: [0, 0, ...size], unknown: walker.strangeness });
+    this.drawn = { scene, size };
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits, so that it can be timed
+    this.milliseconds = performance.now() - begin;
+    this.firstPicture ??= performance.now();
+    const better = Math.sqrt(SLOW / 2 / Math.max(this.milliseconds, 1));
+    this.share = clamp(this.milliseconds > SLOW || this.share < 1 ? this.share * clamp(better, 0.7, 1.1) : 1, 0.35, 1);
+  }
+
+  showPlace() {
+    const { walker, world, $ } = this;
+    const { link, t } = walker, titles = link.ends.map((end) => world.panoramas[end].title);
+    $('place').value = world.isChain ? walker.s : t;
+    const between = walker.panorama !== null ? titles[t] : `${Math.round(100 * t)} % of the way from ${titles[0]} to ${titles[1]}`;
+    $('place').setAttribute('aria-valuetext', between);
+    $('play').setAttribute('aria-label', walker.isPlaying ? 'Pause' : 'Play');
+    $('play').dataset.state = walker.isPlaying ? 'playing' : 'paused';
+    this.stops.forEach((stop, index) => this.placeStop(stop, index));
+    this.map.show(walker);
+    const size = [this.canvas.clientWidth, this.canvas.clientHeight];
+    this.hotspots.show(walker, lensOf(walker.fov, size), size, (pixels) => this.nearestAt(pixels, size));
+    if (this.named === walker.nearest) return;
+    this.named = walker.nearest;
+    const { title, caption } = world.panoramas[walker.nearest];
+    [$('title').textContent, $('caption').textContent] = [title, caption];
+  }
+
+  // The nearest inverse depth that the last picture has at pixels of the element; null where it has none.
+  nearestAt(pixels, size) {
+    if (!this.renderer || !this.drawn || !pixels.length) return pixels.map(() => null);
+    const scaled = pixels.map((pixel) => pixel.map((count, axis) => count * this.drawn.size[axis] / size[axis]));
+    return this.renderer.nearestAt(scaled, this.drawn.scene, this.drawn.size);
+  }
+
+  // On the ground below where the panorama was taken, if that is in front; nearer ones no lower than one looks.
+  placeStop(stop, index) {
+    const { walker, world } = this, here = walker.panorama;
+    const isNeighbour = here === null ? walker.link.ends.includes(index)
+      : index !== here && world.panoramas[here].links.some((link) => link.ends.includes(index));
+    if (!isNeighbour) {
+      if (!stop.hidden) stop.hidden = true;
+      return;
+    }
+    const from = minus(world.panoramas[index].position, walker.position);
+    const away = Math.hypot(from[0], from[2]);
+    const seen = unrotated(walker.rotation, [from[0], Math.max(from[1] - world.panoramas[index].eyeHeight, -0.6 * away), from[2]]);
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
+    const lens = lensOf(walker.fov, [width, height]);
+    const [x, y] = [lens[0] * seen[0] / -seen[2], lens[1] * seen[1] / -seen[2]];
+    stop.hidden = seen[2] >= 0 || away < 0.05 || Math.abs(x) > 1 || Math.abs(y) > 1;
+    if (stop.hidden) return;
+    stop.style.transform = `translate(${(x + 1) * width / 2}px, ${(1 - y) * height / 2}px) scale(${clamp(2.5 / away, 0.5, 1.2)})`;
+  }
+
+  // What is seen from a pose, for tests and for other programs: see docs/view.md.
+  async capture(pose, fov, size) {
+    const place = this.world.nearestTo(pose.position);
+    await this.world.need(place.link);
+    const eye = { ...pose, lens: lensOf(fov * Math.PI / 180, size) };
+    return this.renderer.capture(eye, this.world.sceneAt(place), size);
+  }
+
+  // Bytes of graphics memory that are taken: panoramas, surfaces, and what is drawn into.
+  get graphicsBytes() {
+    return this.world.bytes + (this.renderer?.bytes ?? 0);
+  }
+
+  // Ends it: listeners, pictures and graphics memory go, and the element is empty.
+  dispose() {
+    this.ending.abort();
+    this.world?.wanted.clear();
+    this.world?.things.forEach((thing, key) => this.world.drop(key, thing));
+    this.gl?.getExtension('WEBGL_lose_context')?.loseContext();
+    this.root.replaceChildren();
+  }
+}
