@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from omnisyn_cli.interpolation.viewer.packing import (
     NO_SURFACE_CODE,
+    Blocks,
     confidence_codes,
     inverse_depth_codes,
+    level_widths,
     packed_map,
     packed_mask,
     packed_photograph,
@@ -75,6 +77,28 @@ def test_lossless_photographs_are_the_samples_and_others_nearly() -> None:
         assert np.abs(decoded.astype(float) - samples).mean() <= most
         assert (kind["width"], kind["height"]) == (128, 64)
         assert kind["type"] == ("image/png" if is_lossless else "image/jpeg")
+
+
+@pytest.mark.parametrize(
+    ("width", "has_half", "widths"),
+    [(64, True, [64]), (1152, True, [768, 1152]), (2302, True, [768, 2302]), (4096, True, [768, 2048, 4096]),
+     (4096, False, [768, 4096])],
+)  # fmt: skip
+def test_photographs_have_levels_from_small_to_large(width: int, has_half: bool, widths: list[int]) -> None:
+    assert level_widths(width, has_half=has_half) == widths
+
+
+def test_a_preview_is_small_and_equal_blocks_are_kept_once() -> None:
+    kept: list[bytes] = []
+    blocks = Blocks(lambda _, content: kept.append(content))
+    samples = cv2.resize(np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8), (1536, 768))
+    levels = blocks.add_levels(samples, is_lossless=True, has_half=True)
+    assert [(level["width"], level["height"], level["type"]) for level in levels] == [
+        (768, 384, "image/jpeg"), (1536, 768, "image/png"),
+    ]  # fmt: skip
+    assert len(kept[0]) < 64_000
+    assert blocks.add_levels(samples, is_lossless=True, has_half=True) == levels
+    assert (len(blocks), blocks.size) == (2, sum(map(len, kept)))
 
 
 def test_masks_shrink_with_their_photographs() -> None:

@@ -224,6 +224,18 @@ def test_the_address_keeps_a_place_on_a_link(opened: Any, address: str) -> None:
     page.page.context.close()
 
 
+def test_what_lies_far_away_is_dropped(walk: WalkPage) -> None:
+    """Without a budget for more, the link at hand is all that is kept, wherever one has been."""
+    walk.page.evaluate("omnisyn.page.world.budget = 0")
+    kept = set()
+    for name in (*PLACES, *reversed(PLACES)):
+        stand(walk, name, 0)
+        walk.until("omnisyn.page.world.isReady(omnisyn.page.walker.link) && omnisyn.page.world.pending.size === 0")
+        kept.add(walk.page.evaluate("omnisyn.page.world.things.size"))
+        assert walk.page.evaluate("omnisyn.page.graphicsBytes") < 30e6
+    assert max(kept) <= 7
+
+
 EMBEDDING = """<!DOCTYPE html><html><body><h1>Mine</h1>
 <div id="box" style="position: absolute; left: 40px; top: 60px; width: 400px; height: 240px"></div>
 <script type="module">

@@ -113,7 +113,7 @@ class TourPlan:
     def views_at_once(self) -> int:
         """How many panoramas are kept: those of the pair at work, and their neighbours where depth is fused."""
         degrees = Counter(view for pair in self.pairs for view in pair)
-        return 2 + self.looks_ahead * min(max(degrees.values()) - 1, MAX_KEPT_NEIGHBOURS)
+        return 2 + self.looks_ahead * min(max(degrees.values(), default=1) - 1, MAX_KEPT_NEIGHBOURS)
 
     @property
     def fused_depths(self) -> int:
@@ -301,6 +301,11 @@ def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
     """Bytes that something made of the surfaces of a tour will take, estimated."""
     surfaces = _surface_sizes(tour.config, tour.source_sizes, tour.entries)
     return estimated_surface_memory(tour.job, tour.config, tour.source_sizes, surfaces, footprint)
+
+
+def vertices_of_surface(tour: TourPlan) -> int:
+    """Of the largest surface of a tour."""
+    return max(rows * cols for rows, cols in _surface_sizes(tour.config, tour.source_sizes, tour.entries))
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:

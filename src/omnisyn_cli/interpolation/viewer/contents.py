@@ -109,6 +109,7 @@ class TourPacker:
     ) -> None:
         self._plan, self._options = plan, options
         self._contents: list[bytes] = []
+        self._has_half = keep is not None
         self.blocks = Blocks(keep or (lambda number, content: self._contents.append(content)))
         self._said = {real_path(panorama.image): panorama for panorama in plan.tour.panoramas}
         self._panoramas: dict[int, dict[str, Any]] = {}
@@ -158,7 +159,7 @@ class TourPacker:
             "eyeHeight": _eye_height(surface),
             "position": view.pose.position.tolist(),
             "rotation": view.pose.rotation.ravel().tolist(),
-            "photo": self.blocks.add_levels(samples, is_lossless=self._options.is_lossless),
+            "photo": self.blocks.add_levels(samples, is_lossless=self._options.is_lossless, has_half=self._has_half),
             "mask": mask,
             "hotspots": self._hotspots(said.hotspots, surface),
         }

@@ -30,6 +30,13 @@ MIN_REDUCTION = 1.5
 """Ratio of the widths of a photograph's levels: less is not worth a level of its own."""
 
 
+def level_widths(width: int, *, has_half: bool) -> list[int]:
+    """Widths of a photograph's levels: a preview, perhaps half of it for phones, and the whole."""
+    preview = [PREVIEW_COLUMNS] if width >= MIN_REDUCTION * PREVIEW_COLUMNS else []
+    half = [width // 2] if has_half and width // 2 >= MIN_REDUCTION * PREVIEW_COLUMNS else []
+    return [*preview, *half, width]
+
+
 class Blocks:
     """The blocks of a page, numbered in the order in which they were added; equal ones are kept once.
 
@@ -58,12 +65,13 @@ class Blocks:
         rows, cols = values.shape
         return {"block": self.add(packed_map(values)), "rows": rows, "cols": cols, "depth": values.itemsize}
 
-    def add_levels(self, samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool) -> list[dict[str, Any]]:
-        """A photograph in several sizes, from a small preview to the whole."""
+    def add_levels(
+        self, samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool, has_half: bool
+    ) -> list[dict[str, Any]]:
+        """A photograph in several sizes, see :func:`level_widths`."""
         full = samples.shape[1]
-        widths = [width for width in (PREVIEW_COLUMNS, full // 2) if full >= MIN_REDUCTION * width >= PREVIEW_COLUMNS]
         levels = []
-        for width in (*widths, full):
+        for width in level_widths(full, has_half=has_half):
             size = (width, round(samples.shape[0] * width / full))
             reduced = samples if width == full else cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
             quality = PREVIEW_QUALITY if width == PREVIEW_COLUMNS < full else JPEG_QUALITY

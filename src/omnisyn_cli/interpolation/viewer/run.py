@@ -8,16 +8,24 @@ from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.errors import OutputPathError, PoseError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import TourJob
-from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
+from omnisyn_cli.interpolation.plan import (
+    TourPlan,
+    memory_of_surfaces,
+    pairs_at_one_place,
+    plan_tour,
+    vertices_of_surface,
+)
 from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
+from omnisyn_cli.interpolation.viewer.packing import level_widths
 from omnisyn_cli.interpolation.viewer.page import MAX_PAGE_BYTES, block_name, write_folder, write_page
+from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder, write_parts
 from omnisyn_cli.types import DepthEstimator
 
@@ -26,6 +34,19 @@ JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
 
 MAP_VERTEX_BYTES = 4.0
 """Of each vertex of a surface, likewise: of both neighbours' pairs."""
+
+STORED_VERTEX_BYTES = 1.4
+"""Of each vertex of a surface as it is stored."""
+
+MIP_SHARE, GRAPHICS_VERTEX_BYTES, PICTURE_PIXEL_BYTES = 4 / 3, 18, 26
+"""Of graphics memory: pixels of a texture with its mip levels, bytes of a vertex and of a pixel of the picture."""
+
+GRAPHICS_BUDGET_BYTES = 256 << 20
+"""Of panoramas and surfaces, see ``web/world.js``; a link takes what it needs."""
+
+SCREEN_PIXELS = 1920 * 1080
+
+BASE64_RATIO = 4 / 3
 
 
 @dataclass(frozen=True)
@@ -53,17 +74,51 @@ class ViewPlan(TourPlan):
     job: ViewJob
 
     @property
+    def _pixel_bytes(self) -> float:
+        """Of each pixel of a photograph as it is stored."""
+        return PNG_PIXEL_BYTES if self.job.options.is_lossless else JPEG_PIXEL_BYTES
+
+    @property
     def memory(self) -> int:
-        """Bytes that it will take, estimated."""
-        per_pixel = PNG_PIXEL_BYTES if self.job.options.is_lossless else JPEG_PIXEL_BYTES
-        return memory_of_surfaces(
-            self, Footprint(2 * per_pixel, 2 * MAP_VERTEX_BYTES, columns=self.job.options.texture)
+        """Bytes that it will take, estimated; a folder is written as it is made."""
+        held = 0.0 if self.job.is_folder else 1.0
+        footprint = Footprint(
+            2 * held * self._pixel_bytes, 2 * held * MAP_VERTEX_BYTES, columns=self.job.options.texture
         )
+        return memory_of_surfaces(self, footprint)
+
+    def sizes(self) -> list[int]:
+        """Bytes of every panorama with its surface in the walk, estimated."""
+        surface = STORED_VERTEX_BYTES * vertices_of_surface(self)
+        text = 1.0 if self.job.is_folder else BASE64_RATIO
+        photos = map(self._photo_bytes, self.job.images, self.source_sizes)
+        return [round(text * (photo + surface)) for photo in photos]
+
+    def _photo_bytes(self, image: Path, size: tuple[int, int]) -> float:
+        """Of all levels of a photograph; a JPEG does not become larger."""
+        levels = level_widths(min(size[1], self.job.options.texture), has_half=self.job.is_folder)
+        per_pixel = self._pixel_bytes
+        if image.suffix.lower() in (".jpg", ".jpeg") and not self.job.options.is_lossless:
+            per_pixel = min(per_pixel, image.stat().st_size / (size[0] * size[1]))
+        return per_pixel * sum(width * width / 2 for width in levels)
+
+    @property
+    def graphics_memory(self) -> int:
+        """Bytes of a graphics processor that a screen of 1920×1080 takes at the most, estimated."""
+        width = min(max(cols for _, cols in self.source_sizes), self.job.options.texture)
+        each = 4 * MIP_SHARE * width * width / 2 + GRAPHICS_VERTEX_BYTES * vertices_of_surface(self)
+        near = min(len(self.entries) * each, GRAPHICS_BUDGET_BYTES)
+        return round(max(2 * each, near) + PICTURE_PIXEL_BYTES * SCREEN_PIXELS)
 
     def describe(self) -> dict[str, Any]:
         """See :meth:`TourPlan.described`."""
-        options = self.job.options
-        packing = {"folder": self.job.is_folder, "texture": options.texture, "lossless": options.is_lossless}
+        options, sizes = self.job.options, self.sizes()
+        packing = {
+            "folder": self.job.is_folder, "texture": options.texture, "lossless": options.is_lossless,
+            "links": len(self.pairs), "megabytes": round(sum(sizes) / 1e6, 1),
+            "megabytes_per_panorama": round(max(sizes) / 1e6, 2),
+            "graphics_mib": round(self.graphics_memory / 2**20),
+        }  # fmt: skip
         return self.described(packing, self.memory)
 
 
@@ -97,6 +152,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
         check_page(job.output, job.overwrite)
     check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
     tour = plan_tour(job)
+    _check_linked(tour)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     still = pairs_at_one_place(tour)
     notes = (*tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
@@ -140,6 +196,17 @@ def run_view(
     return ViewSummary(plan, clock.with_total(), pairs, left_out, size)
 
 
+def _check_linked(plan: TourPlan) -> None:
+    """Refuse (PoseError) panoramas that no link leads to."""
+    linked = {view for pair in plan.pairs for view in pair}
+    alone = [image.name for k, image in enumerate(plan.job.images) if k not in linked]
+    if alone:
+        raise PoseError(
+            f'expected links to every panorama, got none to {listed(alone)}; add them to "links", or name the '
+            "panoramas of the walk one by one"
+        )
+
+
 def _write_block(folder: Path, number: int, content: bytes) -> None:
     """At once, so that a long tour does not have to be held."""
     write_parts(folder / block_name(number), [content])
@@ -147,7 +214,7 @@ def _write_block(folder: Path, number: int, content: bytes) -> None:
 
 def _check_size(plan: ViewPlan, packer: TourPacker) -> None:
     """As early as it shows."""
-    if packer.blocks.size * 4 / 3 > MAX_PAGE_BYTES:
+    if packer.blocks.size * BASE64_RATIO > MAX_PAGE_BYTES:
         raise OutputPathError(
             f"{plan.job.output}: expected a walk of at most {MAX_PAGE_BYTES >> 20} MiB in one file, got more with "
             f"{len(plan.entries)} panoramas of {plan.job.options.texture} columns; ask for fewer columns "
