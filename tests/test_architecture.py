@@ -43,6 +43,7 @@ ONNX = ("omnisyn_cli.runtime", "omnisyn_cli.networks", "omnisyn_cli.training")
 
 FILE_MODULES = (
     "omnisyn_cli.io",
+    "omnisyn_cli.compute.kernel_files",
     "omnisyn_cli.poses.file",
     "omnisyn_cli.poses.formats",
     "omnisyn_cli.poses.entries",
@@ -53,7 +54,7 @@ FILE_MODULES = (
     "omnisyn_cli.interpolation.planning",
     "omnisyn_cli.batch",
 )
-"""The only ones that open files: io, the model loader, checkpoints and data sets, and the records of a batch."""
+"""The only ones that open files: io, machine code, models, checkpoints and data sets, and the records of a batch."""
 
 LIGHT = {
     "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools", "json",

@@ -27,7 +27,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[subprocess.Popen[b
 def test_the_second_process_makes_its_video(started: list[subprocess.Popen[bytes]]) -> None:
     with compiling_beside(None):
         assert started[0].wait(timeout=300) == 0
-    assert not Path(str(started[0].args[4])).exists()  # type: ignore[index]
+    assert not Path(str(started[0].args[3])).exists()  # type: ignore[index]
 
 
 def test_it_ends_with_the_first_one(started: list[subprocess.Popen[bytes]]) -> None:
@@ -40,7 +40,6 @@ def test_it_ends_with_the_first_one(started: list[subprocess.Popen[bytes]]) -> N
 def test_without_a_core_or_a_need_there_is_none(
     started: list[subprocess.Popen[bytes]], monkeypatch: pytest.MonkeyPatch, threads: int | None, is_kept: bool
 ) -> None:
-    """A process of one thread starts none, so that the second process does not start a third."""
     monkeypatch.setattr(kernel_warm_up, "is_on_disk", lambda kernel: is_kept)
     with compiling_beside(threads):
         pass

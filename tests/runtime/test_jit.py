@@ -1,5 +1,8 @@
 """Who compiles says so, once; who finds machine code does not."""
 
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -7,7 +10,7 @@ import numba
 import numpy as np
 import pytest
 
-from omnisyn_cli.compute import jit
+from omnisyn_cli.compute import jit, kernel_files
 from omnisyn_cli.compute.jit import (
     announce_compiling,
     are_kernels_kept,
@@ -115,3 +118,43 @@ def test_two_processes_that_compile_one_kernel_for_two_types_do_not_mix_them_up(
     assert again(1.5) == 3.0
     assert again(3) == 6
     assert len(list((tmp_path / "kept").rglob("*.nbc"))) == 2
+
+
+COMPILES_WHEN_TOLD = """
+from doubling import double
+input()
+double(3)
+print(sum(double.stats.cache_misses.values()))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks there")
+def test_of_two_processes_one_compiles_and_the_other_finds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded(tmp_path, monkeypatch)
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    variables = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    command, pipe = [sys.executable, "-c", COMPILES_WHEN_TOLD], subprocess.PIPE
+    both = [subprocess.Popen(command, env=variables, stdin=pipe, stdout=pipe, text=True) for _ in range(2)]
+    for process in both:
+        process.stdin.write("\n")
+        process.stdin.flush()
+    assert sum(int(process.communicate()[0]) for process in both) == 1
+    assert not list((tmp_path / "kept").rglob("*.lock"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks there")
+def test_nobody_waits_for_ever_and_a_kernel_that_cannot_be_compiled_holds_nobody_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other process may be one that somebody has stopped."""
+    monkeypatch.setattr(kernel_files, "LONGEST_TURN", 0.05)
+    stopped, patient = loaded(tmp_path, monkeypatch), loaded(tmp_path, monkeypatch)
+    stopped._cache.turn.take()
+    said: list[str] = []
+    with when_compiling(lambda: said.append("compiling"), patience=60.0):
+        assert patient(3) == 6
+    assert said == ["compiling"]
+    stopped._cache.turn.end()
+    with pytest.raises(numba.TypingError):
+        patient(None)
+    assert not list((tmp_path / "kept").rglob("*.lock"))

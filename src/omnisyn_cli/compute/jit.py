@@ -4,7 +4,6 @@ Where no folder can be written (a read-only installation without a home), they a
 """
 
 import gc
-import hashlib
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +16,12 @@ from omnisyn_cli.errors import InputError
 try:
     from numba import njit
     from numba.core import event
-    from numba.core.caching import FunctionCache, IndexDataCacheFile
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import CompilerBase, DefaultPassBuilder
 except ValueError as error:
     raise InputError(f"expected settings that numba takes in NUMBA_… of the environment, got '{error}'") from error
+
+from omnisyn_cli.compute.kernel_files import COMPILE_EVENT, OTHER_PROCESS, KernelFiles
 
 __all__ = [
     "Decorator",
@@ -41,51 +43,51 @@ Decorator = Callable[..., Any]
 """Numba's decorators say nothing about the types of what they make."""
 
 
-COMPILE_EVENT = "numba:compile"
-"""What numba calls it."""
-
-OTHER_PROCESS = "elsewhere"
-"""Said of what another process compiles, and long enough to be worth a word."""
-
-
 class _Kept:
     """Whether machine code has a place on disk."""
 
     everywhere = True
 
 
-class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]
-    """Files of machine code whose names say what is in them.
+class _Code(JITCodeLibrary):  # type: ignore[misc]
+    """Code of a kernel. Its functions are not optimised one by one, as numba does, before all are at once."""
 
-    Numba numbers them: two processes that compile a kernel for different types at once may write both into one file, of
-    which the index of one of them says that it is the other's. Here the loser of such a race compiles once more.
-    """
-
-    def _load_index(self) -> dict[Any, str]:
-        """The files by key; none where the index names types of another version of this program."""
-        try:
-            found: dict[Any, str] = super()._load_index()
-        except (AttributeError, ImportError):
-            found = {}
-        return found
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep the machine code of a kernel for types and a processor, which are its key."""
-        overloads = self._load_index()
-        if key not in overloads:
-            digest = hashlib.sha256(repr(key).encode()).digest()
-            overloads[key] = self._data_name(int.from_bytes(digest[:8], "big"))
-            self._save_index(overloads)
-        self._save_data(overloads[key], data)
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
 
 
-class _Kernels(FunctionCache):  # type: ignore[misc]
-    """The machine code of a kernel on disk, for all types that it was compiled for."""
+class _Ingredient(_Code):
+    """Code of a subkernel. Kernels that it is part of optimise it and make it machine code; numba would do so twice."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = _KeyedFiles(self.cache_path, self._impl.filename_base, stamp)
+    @property
+    def codegen(self) -> "_Ingredient":
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Numba's place for an environment is in machine code, which there is none of."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _Compiler(CompilerBase):  # type: ignore[misc]
+    """Numba's way to compile a function, but for the kind of code that comes out."""
+
+    kind: type[_Code] = _Code
+
+    def define_pipelines(self) -> list[Any]:
+        code = self.kind(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        code.enable_object_caching()
+        self.state.library = code
+        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
+
+
+class _SubkernelCompiler(_Compiler):
+    kind = _Ingredient
 
 
 def are_kernels_kept() -> bool:
@@ -109,12 +111,13 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
     """
     if function is None:
         return partial(compiled_kernel, cache=cache, **options)
-    compiled = njit(function, **{"no_cfunc_wrapper": True, **options})  # nobody calls kernels from C
+    compiler = _SubkernelCompiler if options.get("no_cpython_wrapper") else _Compiler
+    compiled = njit(function, pipeline_class=compiler, no_cfunc_wrapper=True, **options)  # nobody calls them from C
     if compiled is function:
         raise InputError("expected kernels that can be compiled, got NUMBA_DISABLE_JIT in the environment; unset it")
     if cache:
         try:
-            compiled._cache = _Kernels(compiled.py_func)
+            compiled._cache = KernelFiles(compiled.py_func)
         except RuntimeError:  # no folder that numba knows can be written
             _Kept.everywhere = False
     return compiled
@@ -158,6 +161,23 @@ class _WithoutCollections(event.Listener):  # type: ignore[misc]
 
 
 event.register(COMPILE_EVENT, _WithoutCollections())
+
+
+class _WithoutTurns(event.Listener):  # type: ignore[misc]
+    """Ends the turn of a kernel that could not be compiled, for want of memory for example."""
+
+    def on_start(self, event: Any) -> None:
+        pass
+
+    def on_end(self, event: Any) -> None:
+        if event.data == OTHER_PROCESS:
+            return
+        compiled, types = event.data["dispatcher"], tuple(event.data["args"])
+        if types not in compiled.overloads and isinstance(compiled._cache, KernelFiles):
+            compiled._cache.turn.end()
+
+
+event.register(COMPILE_EVENT, _WithoutTurns())
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]
