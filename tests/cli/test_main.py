@@ -1,6 +1,7 @@
 """The command line itself: help is instant, errors are one line, every way to end has its exit code."""
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -124,6 +125,29 @@ def test_errors_become_one_line_and_an_exit_code(omnisyn: Omnisyn, monkeypatch: 
     told = json.loads(omnisyn.ended(code, "info", "a.jpg", "--json").out)
     assert told["exit_code"] == code
     assert words.strip().replace("\n", " ").removeprefix("omnisyn: ") in told["error"]
+
+
+ABORTED = """
+import ctypes, sys
+from omnisyn_cli.cli.aborts import CXX_LIBRARY, explain_memory_aborts
+explain_memory_aborts()
+ctypes.CDLL(CXX_LIBRARY)[sys.argv[1]]()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="another C++")
+@pytest.mark.parametrize(
+    ("thrown", "code", "words"),
+    [
+        ("_ZSt17__throw_bad_allocv", 1, "omnisyn: expected enough memory, got no more memory; try a smaller --size"),
+        ("_ZSt16__throw_bad_castv", -signal.SIGABRT, "terminate called after throwing an instance of 'std::bad_cast'"),
+    ],
+)
+def test_memory_that_runs_out_in_a_thread_of_a_library_is_one_line(thrown: str, code: int, words: str) -> None:
+    """What nobody catches ends the program; other exceptions of C++ keep their own words."""
+    ended = subprocess.run([sys.executable, "-c", ABORTED, thrown], capture_output=True, text=True, check=False)
+    assert ended.returncode == code
+    assert ended.stderr.startswith(words)
 
 
 def every_command(group: click.Group, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

@@ -1,6 +1,8 @@
 """``omnisyn view`` from the command line, and the page that ``interpolate --view`` makes beside a video."""
 
+import os
 import signal
+import sys
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -90,3 +92,19 @@ def test_a_folder_is_served_until_it_is_ended(tour: list[Path], tmp_path: Path) 
     finally:
         process.kill()
         process.communicate()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have other openers")
+@pytest.mark.parametrize(("code", "note"), [(0, ""), (3, "note: expected a browser, got none; open {} in one\n")])
+def test_what_opens_a_browser_says_nothing_itself(
+    tour: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, note: str
+) -> None:
+    (tmp_path / "bin").mkdir()
+    opener = tmp_path / "bin" / "xdg-open"
+    opener.write_text(f'#!/bin/sh\necho "no method available" >&2\necho "$1" > opened\nexit {code}\n')
+    opener.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{opener.parent}:{os.environ['PATH']}")
+    process = start_cli("view", *given(tour, "-o", "-walk.html", "--open", "-q"), folder=tmp_path)
+    _, err = process.communicate()
+    assert (process.returncode, err.decode()) == (0, note.format(tmp_path / "-walk.html"))
+    assert (tmp_path / "opened").read_text().strip() == str(tmp_path / "-walk.html")

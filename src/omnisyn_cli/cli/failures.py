@@ -43,7 +43,7 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
         case KeyboardInterrupt() | click.Abort():
             return "interrupted; nothing was left half written", INTERRUPTED
     if sign := next(_signs_of_memory(error), ""):
-        return f"expected enough memory, got {sign}; try a smaller --size or fewer --threads (see --dry-run)", FAILED
+        return memory_failure(sign), FAILED
     match error:
         case ImportError(name="torch"):
             needs = "expected torch, which training, export-onnx and frames on a GPU need, got none; install it"
@@ -51,6 +51,11 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
         case OSError():
             return _about(error), FAILED
     return None
+
+
+def memory_failure(sign: str) -> str:
+    """What to say where memory has run out; ``sign`` says how that was noticed."""
+    return f"expected enough memory, got {sign}; try a smaller --size or fewer --threads (see --dry-run)"
 
 
 def _signs_of_memory(error: BaseException | None) -> Iterator[str]:

@@ -26,6 +26,12 @@ if TYPE_CHECKING:
 
     from omnisyn_cli.interpolation.viewer import ViewSummary
 
+LINUX_OPENER = "xdg-open"
+"""Finds the browser, or, with many lines of its own, none."""
+
+OPENER_SECONDS = 2.0
+"""After which it has found one: it may go on for as long as the browser does."""
+
 
 @click.command(cls=SectionedCommand)
 @tour_options
@@ -86,7 +92,7 @@ def view(
     if serve:
         _serve(job.output, is_opened=is_opened, is_quiet=quiet)
     elif is_opened:
-        click.launch(str(job.output / "index.html" if folder else job.output))
+        _open(str((job.output / "index.html" if folder else job.output).absolute()))
 
 
 def _load() -> Callable[..., ViewSummary]:
@@ -110,5 +116,26 @@ def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
         if not is_quiet:
             say(f"{address} shows the walk on this machine; Ctrl-C ends it", err=True)
         if is_opened:
-            click.launch(address)
+            _open(address)
         server.serve_forever()
+
+
+def _open(address: str) -> None:
+    """Show a file or an address in the browser, or say that there is none. What openers print is for their makers."""
+    import shutil
+    import subprocess
+
+    opener = shutil.which(LINUX_OPENER)
+    if opener is None:  # other systems have their own, which are quiet
+        code = click.launch(address)
+    else:
+        process = subprocess.Popen(  # noqa: S603 - of the system
+            [opener, address], start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            code = process.wait(OPENER_SECONDS)
+        except subprocess.TimeoutExpired:  # it is the browser now
+            code = 0
+    if code:
+        say(f"note: expected a browser, got none; open {address} in one", err=True)
