@@ -158,6 +158,26 @@ def test_wrong_poses_are_warned_about_or_refused(tmp_path: Path) -> None:
     assert not refused.output.exists()
 
 
+@pytest.mark.parametrize("is_doubtful", [True, False])
+def test_a_doubtful_pair_gets_soft_surfaces_and_keeps_its_photographs_at_the_ends(
+    is_doubtful: bool, tmp_path: Path
+) -> None:
+    job = hall_job(tmp_path)
+    if is_doubtful:
+        poses = json.loads(job.poses.read_text())
+        poses["panoramas"]["p1.png"]["rotation"] = [0.8, 0.0, 0.6, 0.0]
+        job.poses.write_text(json.dumps(poses))
+    shown = {}
+    for fallback in ("soft", "none"):
+        one = replace(job, output=tmp_path / fallback, fallback=fallback)
+        summary = run_interpolation(plan_interpolation(one))
+        assert bool(summary.warnings()) == is_doubtful
+        shown[fallback] = read_frames(one.output)
+    for end in (0, 2):
+        np.testing.assert_array_equal(shown["soft"][end], shown["none"][end])
+    assert np.array_equal(shown["soft"][1], shown["none"][1]) == (not is_doubtful)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

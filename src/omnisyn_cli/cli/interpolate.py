@@ -123,8 +123,8 @@ if TYPE_CHECKING:
 @nadir_option
 @click.option("--nadir-fill", is_flag=True, help="Show ground instead of what is excluded at the ends of the way, too.")
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
-    help="Where confidence is low: only warn, cross-fade the photographs in these regions, or fail.",
+    "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
+    help="For pairs of low confidence: soft surfaces that dissolve, cross-faded regions, only a warning, or fail.",
 )  # fmt: skip
 @click.option(
     "--save-confidence", metavar="FILE", type=FilePath(), help="Save the confidence of every pixel as a video."

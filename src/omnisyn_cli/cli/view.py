@@ -49,7 +49,7 @@ OPENER_SECONDS = 2.0
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
 @surface_options
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
+    "--fallback", type=click.Choice([name for name in FALLBACKS if name != "soft"]), default="none", show_default=True,
     help="Where confidence is low: only warn, cross-fade the photographs of that pair, or fail.",
 )  # fmt: skip
 @click.option(

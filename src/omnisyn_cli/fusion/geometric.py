@@ -58,6 +58,14 @@ class GeometricFuser:
         self.blend(layers.with_step(self._suppression(first, second, rule)), rule, out)
         return out
 
+    def dissolve(
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
+    ) -> Picture:
+        """As a call, but by the blend rule alone: both layers are shown where they differ, none is chosen."""
+        out = self._output_buffer(out)
+        self.blend(self._with_confidence(first, second, confidence), BlendRule.at(t, self.options), out)
+        return out
+
     def blend(self, layers: LayerPair, rule: BlendRule, out: Picture) -> None:
         """Blend two layers, fill the holes and supersample the edges.
 

@@ -122,6 +122,7 @@ class InterpolationJob(TourJob):
 
     Attributes:
         output: video file, folder or file name pattern.
+        fallback: as of every job; by default surfaces of such pairs are soft.
         frames: number of frames; None follows from ``duration`` and ``fps``.
         duration: seconds; None means three per pair.
         fps: frames per second.
@@ -145,6 +146,7 @@ class InterpolationJob(TourJob):
         view: page to walk through besides the video, made of the same depth; None makes none.
     """
 
+    fallback: str = "soft"
     frames: Annotated[int, Ge(2)] | None = None
     duration: Positive | None = None
     fps: Annotated[float, Interval(gt=0, le=1000)] = 30.0

@@ -154,7 +154,7 @@ class TourSummary:
         if pair.disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
             yield "omnisyn poses check"
         yield "panoramas closer together"
-        if pair.score < MIN_PAIR_SCORE and self.plan.config.fallback == "none":
+        if pair.score < MIN_PAIR_SCORE and self.plan.config.fallback in ("none", "soft"):
             yield "--fallback crossfade"
 
     def warnings(self) -> list[str]:

@@ -12,8 +12,9 @@ from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
 
 __all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size"]
 
-FALLBACKS = ("none", "crossfade", "fail")
-"""What is done about pairs of low confidence: a warning, the photographs cross-faded in doubtful regions, nothing."""
+FALLBACKS = ("soft", "crossfade", "none", "fail")
+"""What pairs of low confidence get besides a warning: a smooth surface where depth is not confirmed, the photographs
+cross-faded in doubtful regions, nothing; or an error."""
 
 DEVICES = ("auto", "cpu", "cuda")
 

@@ -43,7 +43,8 @@ def make_method(
 
     options = SynthesisOptions(
         size, config.renderer_strategy.load(), Cut(config.cut, config.cut_metres), threads,
-        cross_fade=config.fallback == "crossfade", confidence=config.confidence, adaptive=config.adaptive,
+        cross_fade=config.fallback == "crossfade", soften=config.fallback == "soft", confidence=config.confidence,
+        adaptive=config.adaptive,
     )  # fmt: skip
     settings = FuserSettings(size, threads, config.fusion_rows, config.edges)
     parts = MethodParts(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.geometry.perspective import pixels_per_radian
 from omnisyn_cli.geometry.pose import rotation_vector_from_rotation
@@ -99,7 +100,8 @@ def fuse_frame(
     with clock("fuse"):
         first, second = ExposureMatcher(pair.check.curve)(seen[0], seen[1], waypoint.t)
         asked = {"out": None if samples is None else samples(), "confidence": confidence}
-        image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
+        fuse = fuser.dissolve if pair.is_soft and isinstance(fuser, GeometricFuser) else fuser
+        image = fuse(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
         if pair.cross_fade is not None and confidence is not None:
             pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
         if pair.masked_fade is not None:

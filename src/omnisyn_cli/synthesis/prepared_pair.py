@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,12 +19,17 @@ from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
 from omnisyn_cli.synthesis.ground import continue_ground
+from omnisyn_cli.synthesis.soft_surface import is_enclosed, soften_pair
 from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
 __all__ = ["SynthesisOptions", "measure_pair", "usable_image"]
+
+
+UNCUT = Cut(None, None)
+"""Soft surfaces have no steps that stand for silhouettes."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class SynthesisOptions:
         cut: where meshes are cut.
         threads: at most this many; None is one per core.
         cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
+        soften: give pairs under a ceiling that score low a smooth surface where the photographs do not confirm depth.
         confidence: give every frame a map of its confidence.
         adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a
             pixel aside.
@@ -47,6 +53,7 @@ class SynthesisOptions:
     cut: Cut = field(default_factory=Cut)
     threads: int | None = None
     cross_fade: bool = False
+    soften: bool = False
     confidence: bool = False
     adaptive: bool = False
 
@@ -65,6 +72,7 @@ class PreparedPair:
         masked_fade: fades what is masked at the ends; None where nothing masked is shown.
         triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
         on_device: makes whole frames of both on a device; None where the processor does.
+        is_soft: whether surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
     """
 
     index: int
@@ -76,6 +84,7 @@ class PreparedPair:
     masked_fade: MaskedFade | None = None
     triangles: tuple[int, int] | None = None
     on_device: GpuPair | None = None
+    is_soft: bool = False
 
 
 def measure_pair(
@@ -102,8 +111,13 @@ def prepare_pair(
     depths, check = measure_pair(index, tour, options, clock)
     first_view, second_view = tour.links[index]
     whole = tour.views[first_view], tour.views[second_view]
+    is_soft = options.soften and check.confidence.score < MIN_PAIR_SCORE
+    is_soft = is_soft and not at_same_position(whole[0].pose, whole[1].pose) and is_enclosed(whole, depths)
     with clock("mesh"):
-        (first, second), drawn_depths = continue_ground(whole, depths)
+        drawn_depths = soften_pair(whole, depths, check, options.cut, options.threads) if is_soft else depths
+        (first, second), drawn_depths = continue_ground(whole, drawn_depths)
+    if is_soft:
+        options = replace(options, cut=UNCUT)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
         masked_fade = MaskedFade(whole, options.size, options.threads)
@@ -114,9 +128,9 @@ def prepare_pair(
                 device.surface(usable_image(view, options), view.mask, depth, options.cut)
                 for view, depth in zip((first, second), drawn_depths, strict=True)
             ]
-            pair = device.pair(surfaces[0], surfaces[1], check.curve)
+            pair = device.pair(surfaces[0], surfaces[1], check.curve, dissolves=is_soft)
         triangles = (pair.triangles, pair.triangles)
-        return PreparedPair(index, poses, depths, pair.surfaces, check, None, masked_fade, triangles, pair)
+        return PreparedPair(index, poses, depths, pair.surfaces, check, None, masked_fade, triangles, pair, is_soft)
     with clock("mesh"), limited_threads(options.threads):
         renderers = both(
             lambda: _renderer(first, second, drawn_depths[0], options),
@@ -128,7 +142,7 @@ def prepare_pair(
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts)
+    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, None, is_soft)
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:

@@ -1,6 +1,13 @@
 """Confidence of frames and of pairs, without ground truth."""
 
 from omnisyn_cli.fusion.confidence.frame_confidence import confidence_step, low_confidence_regions
-from omnisyn_cli.fusion.confidence.pair_confidence import MIN_PAIR_SCORE, PairConfidence, assess_pair
+from omnisyn_cli.fusion.confidence.pair_confidence import MIN_PAIR_SCORE, PairConfidence, assess_pair, compare_windows
 
-__all__ = ["MIN_PAIR_SCORE", "PairConfidence", "assess_pair", "confidence_step", "low_confidence_regions"]
+__all__ = [
+    "MIN_PAIR_SCORE",
+    "PairConfidence",
+    "assess_pair",
+    "compare_windows",
+    "confidence_step",
+    "low_confidence_regions",
+]

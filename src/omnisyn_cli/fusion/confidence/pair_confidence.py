@@ -9,6 +9,7 @@ see ``docs/confidence.md``).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
-__all__ = ["PairConfidence", "assess_pair"]
+__all__ = ["PairConfidence", "WindowComparison", "assess_pair", "compare_windows"]
 
 MIN_PAIR_SCORE = 0.3
 """Score below which a clip is unreliable: a plain cross-fade is about as close to the truth."""
@@ -81,6 +82,22 @@ class PairConfidence:
         }
 
 
+class WindowComparison(NamedTuple):
+    """Two layers compared in windows of some 8 degrees, ``(height, width)`` each.
+
+    Attributes:
+        likeness: of their structure, in [-1, 1]: covariance over the mean of both variances.
+        contrast: standard deviation of grey values, of the layer that has more.
+        difference: of the mean grey values.
+        seen: share of the window that both layers show.
+    """
+
+    likeness: np.ndarray
+    contrast: np.ndarray
+    difference: np.ndarray
+    seen: np.ndarray
+
+
 def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:
     """The confidence of a pair, from layers of equal exposure; those of a tuple have one size.
 
@@ -122,6 +139,19 @@ def _doubling(one: Layer, other: Layer) -> float:
 
     Where contours lie side by side the frame has them twice. Areas without contrast do not count.
     """
+    windows = compare_windows(one, other)
+    has_contrast = _seen(one) & _seen(other) & (windows.contrast > MIN_CONTOUR_CONTRAST)
+    weight = solid_angles(*has_contrast.shape) * has_contrast
+    return float((weight * (windows.likeness < MIN_CONTOUR_LIKENESS)).sum() / max(float(weight.sum()), 1e-9))
+
+
+def compare_windows(one: Layer, other: Layer) -> WindowComparison:
+    """What two layers show in the window around every pixel, compared where both show something.
+
+    Args:
+        one: of the one view.
+        other: of the other view; of the same size and exposure.
+    """
     seen = (_seen(one) & _seen(other)).astype(np.float32)
     a, b = (np.clip(layer.colour[..., :3], 0.0, 1.0).mean(axis=-1) for layer in (one, other))
     side = max(3, len(seen) // CONTOUR_ROWS)
@@ -129,13 +159,13 @@ def _doubling(one: Layer, other: Layer) -> float:
     def mean(values: np.ndarray) -> np.ndarray:
         return filter_across_seam(lambda image: cv2.blur(image, (side, side)), values * seen, side)
 
-    count = np.maximum(mean(np.ones_like(seen)), 1e-6)
+    share = mean(np.ones_like(seen))
+    count = np.maximum(share, 1e-6)
     mean_a, mean_b = mean(a) / count, mean(b) / count
     variance_a, variance_b = mean(a * a) / count - mean_a**2, mean(b * b) / count - mean_b**2
-    has_contrast = seen * (np.maximum(variance_a, variance_b) > MIN_CONTOUR_CONTRAST**2)
     likeness = 2.0 * (mean(a * b) / count - mean_a * mean_b) / np.maximum(variance_a + variance_b, 1e-9)
-    weight = solid_angles(*seen.shape) * has_contrast
-    return float((weight * (likeness < MIN_CONTOUR_LIKENESS)).sum() / max(float(weight.sum()), 1e-9))
+    contrast = np.sqrt(np.maximum(np.maximum(variance_a, variance_b), 0.0))
+    return WindowComparison(likeness, contrast, np.abs(mean_a - mean_b), share)
 
 
 def _weakest_direction(one: Layer, other: Layer) -> tuple[float, float, float]:

@@ -80,9 +80,9 @@ class GpuFrames:
             surface_confidence = confidence_on(make_confidence_map(mesh, texture), self.device)
             return GpuSurface(self, quads_of(mesh, self.device), surface_confidence, texture_on(texture, self.device))
 
-    def pair(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve) -> GpuPair:
-        """Two of its surfaces between which frames are made, the second picture so much brighter than the first."""
-        return GpuPair(first, second, curve)
+    def pair(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve, *, dissolves: bool = False) -> GpuPair:
+        """Two of its surfaces between which frames are made; arguments as of :class:`GpuPair`."""
+        return GpuPair(first, second, curve, dissolves=dissolves)
 
     def bands(self) -> Iterator[slice]:
         """Rows that are coloured or blended together."""
@@ -151,10 +151,11 @@ class GpuPair:
         first: of the first view.
         second: of the second view, made for the same frames.
         curve: how much brighter the second picture is than the first.
+        dissolves: whether ghosts stay, see :meth:`omnisyn_cli.fusion.geometric.GeometricFuser.dissolve`.
     """
 
-    def __init__(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve) -> None:
-        self.surfaces, self._frames = (first, second), first.frames
+    def __init__(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve, *, dissolves: bool = False) -> None:
+        self.surfaces, self._frames, self._dissolves = (first, second), first.frames, dissolves
         self._expose = ExposureMatcher(curve, change_colours)
         self._nearest: Tensor | None = None
 
@@ -197,7 +198,8 @@ class GpuPair:
             first, second = (
                 surface.with_cached_colour(view) for surface, view in zip(self.surfaces, (first, second), strict=True)
             )
-        suppression = None if have_same_position(first, second) else frames.ghosts(first, second, rule)
+        keeps_ghosts = self._dissolves or have_same_position(first, second)
+        suppression = None if keeps_ghosts else frames.ghosts(first, second, rule)
         views = LayerPair(first, second).with_step(suppression)
         image = torch.empty((*frames.size, 3), device=frames.device)
         weight = torch.empty(frames.size, device=frames.device)
