@@ -119,3 +119,17 @@ def test_two_runs_with_one_output_and_leftovers_are_told_at_once(
     assert f"remove them with: rm -r {gone}\n" in omnisyn.made(*words).err
     gone.unlink()
     assert "hidden files" not in omnisyn.made(*words, "--overwrite").err
+
+
+def test_reports_and_pose_files_tell_of_leftovers_too(
+    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = tmp_path / "scenes" / "s0"
+    scene.mkdir(parents=True)
+    write_pair(scene, ("a.png", "b.png", "c.png"), (32, 64))
+    gone = left_by(monkeypatch, ended_process(), tmp_path)
+    remedy = f"remove them with: rm -r {gone}\n"
+    export = ("poses", "export", scene / "poses.json", "--format", "tum", "-o", tmp_path / "poses.txt")
+    assert remedy in omnisyn.made(*export).err
+    report = ("--report", tmp_path / "report", "--methods", "crossfade", "--no-pictures", "--threads", 1)
+    assert remedy in omnisyn.made("eval", scene.parent, *report).err

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.machine import leftover_notes
 from omnisyn_cli.cli.options import device_option, json_option, quiet_option, report_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, Size
 from omnisyn_cli.cli.progress import counted_bar, working_folder
@@ -95,7 +96,8 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, command=command, **options)
         plan = plan_evaluation(job)
         if not quiet:
-            say(f"note: {_about_results(report)}", err=True)
+            for note in (_about_results(report), *(leftover_notes(report) if report else ())):
+                say(f"note: {note}", err=True)
         with counted_bar(
             "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet,
             has_lines=True,

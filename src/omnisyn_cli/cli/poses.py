@@ -11,6 +11,7 @@ import click
 
 from omnisyn_cli.cli.failures import FAILED
 from omnisyn_cli.cli.lazy import PlainGroup
+from omnisyn_cli.cli.machine import leftover_notes
 from omnisyn_cli.cli.options import (
     all_of,
     cap_option,
@@ -148,7 +149,7 @@ def import_(
     check_output(output, overwrite)
     name, imported = import_poses(sources, format_name, ImportOptions(**options))
     notes = write_imported(output, imported, copy_images=copy_images, overwrite=overwrite)
-    _report([*imported.notes, *notes, f"{output}: {len(imported.views)} panoramas from {name}"], quiet)
+    _report([*imported.notes, *notes, f"{output}: {len(imported.views)} panoramas from {name}"], output, quiet)
 
 
 @poses.command()
@@ -178,7 +179,7 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
     check_kept([output], [poses])
     pose_file = read_poses(poses, allow_outside=allow_outside)
     notes = export_poses(pose_file, output, format_name, **options)
-    _report([*notes, f"{output}: {len(pose_file.panoramas)} panoramas for {format_name}"], quiet)
+    _report([*notes, f"{output}: {len(pose_file.panoramas)} panoramas for {format_name}"], output, quiet)
 
 
 @poses.command()
@@ -240,7 +241,7 @@ def refine(
     check_companions_named(output, pose_file.panoramas, allow_outside=allow_outside)
     refined = refine_poses(images, pose_file, _picture_options(**options))
     write_poses(output, refined.panoramas, allow_outside=allow_outside)
-    _report([*refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined"], quiet)
+    _report([*refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined"], output, quiet)
 
 
 @poses.command()
@@ -280,7 +281,7 @@ def estimate(
         images, baselines, _picture_options(**options), camera_height=camera_height, must_place_all=require_all
     )
     write_poses(output, found.panoramas)
-    _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], quiet)
+    _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], output, quiet)
 
 
 def _picture_options(
@@ -292,7 +293,8 @@ def _picture_options(
     return PictureOptions(nadir=nadir, reading=Reading(upper_half, hfov, vfov, horizon), **options)
 
 
-def _report(notes: Sequence[str], quiet: bool) -> None:
-    """Say on stderr what there is to say, one line each."""
-    for note in () if quiet else notes:
+def _report(notes: Sequence[str], output: Path, quiet: bool) -> None:
+    """Say on stderr what there is to say, one line each, and what killed runs have left beside the output."""
+    left = (f"note: {note}" for note in leftover_notes(output))
+    for note in () if quiet else (*left, *notes):
         say(note, err=True)
