@@ -58,6 +58,14 @@ def test_links_of_random_places_connect_all_and_follow_the_definition(seed: int)
     assert reached == set(names)
 
 
+def test_panoramas_that_do_not_match_are_not_linked() -> None:
+    """A wall between a and b: the way leads around it, over c and d."""
+    places = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 3], [1, 0, 3]], float)
+    assert links_between("abcd", places) == (("a", "b"), ("a", "c"), ("b", "d"), ("c", "d"))
+    around = [("a", "c"), ("c", "d"), ("d", "b"), ("a", "d")]
+    assert links_between("abcd", places, around) == (("a", "c"), ("b", "d"), ("c", "d"))
+
+
 def test_a_square_grid_has_no_links_across() -> None:
     places = np.array([(x, 0, z) for x in range(3) for z in range(3)], float) * 0.7
     assert len(links_between([str(k) for k in range(9)], places)) == 12

@@ -280,7 +280,7 @@ def estimate(
     found = estimate_poses(
         images, baselines, _picture_options(**options), camera_height=camera_height, must_place_all=require_all
     )
-    write_poses(output, found.panoramas)
+    write_poses(output, found.panoramas, links=found.links)
     _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], output, quiet)
 
 

@@ -365,7 +365,7 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     job = replace(
         job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
     )
-    return job, PoseFile(job.poses, found.panoramas), found.notes
+    return job, PoseFile(job.poses, found.panoramas, found.links), found.notes
 
 
 def frame_count(job: InterpolationJob) -> int:

@@ -40,6 +40,7 @@ from omnisyn_cli.poses.registration.pose_graph import (
 )
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 from omnisyn_cli.poses.registration.scan import Scan, likeness, register_pair, scan_panorama
+from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
 __all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
@@ -99,12 +100,21 @@ class FoundPoses:
         notes: what was assumed, changed or left as it was, one sentence each.
         changed: number of pairs whose relative pose comes from the pictures.
         order: the images that have poses, in walking order, where poses were looked for without any given.
+        matched: names of the pairs whose pictures match, likewise.
     """
 
     panoramas: Mapping[str, PosedPanorama]
     notes: tuple[str, ...]
     changed: int
     order: tuple[Path, ...] = ()
+    matched: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def links(self) -> tuple[tuple[str, str], ...] | None:
+        """Those of a tour, where matches say more than positions: not through walls, for example; else None."""
+        names, positions = [*self.panoramas], np.stack([entry.pose.position for entry in self.panoramas.values()])
+        links = links_between(names, positions, self.matched)
+        return None if links == links_between(names, positions) else links
 
 
 def check_poses(
@@ -207,7 +217,8 @@ def estimate_poses(
         notes.append(f"order: {', '.join(images[k].name for k in order)}")
     spreads = [None, *known.values()]
     entries = {names[k]: PosedPanorama(world[k], uncertainty=spread) for k, spread in zip(order, spreads, strict=True)}
-    return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order))
+    pairs = tuple((names[edge.first], names[edge.second]) for edge in edges)
+    return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order), pairs)
 
 
 def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:

@@ -191,20 +191,34 @@ def chain_links(names: Iterable[str]) -> tuple[Link, ...]:
     return tuple(found.values())
 
 
-def links_between(names: Sequence[str], positions: Float[np.ndarray, "n 3"]) -> tuple[Link, ...]:
+def links_between(
+    names: Sequence[str], positions: Float[np.ndarray, "n 3"], matched: Iterable[Link] | None = None
+) -> tuple[Link, ...]:
     """Links that follow from positions: the relative neighbourhood graph.
 
     Two panoramas are linked unless a third one is nearer to both than they are to each other. So corridors become
     chains and crossings stay crossings. The graph holds the shortest tree that connects all.
 
+    Args:
+        names: of the panoramas.
+        positions: of the panoramas, metres.
+        matched: pairs whose pictures match: others do not see each other and count as infinitely far. None: all do.
+
     Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
     """
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    if matched is not None:
+        place = {name: k for k, name in enumerate(names)}
+        sees = np.zeros(distance.shape, bool)
+        for first, second in matched:
+            sees[place[first], place[second]] = sees[place[second], place[first]] = True
+        distance = np.where(sees, distance, np.inf)
     links = []
     for here in range(len(names)):
         via = np.maximum(distance[here][:, None], distance)  # third × other
         via[here] = np.inf
         np.fill_diagonal(via, np.inf)
         is_blocked = via.min(axis=0) < distance[here] * (1.0 - NEIGHBOUR_TOLERANCE)
-        links += [(names[here], names[other]) for other in range(here + 1, len(names)) if not is_blocked[other]]
+        is_linked = np.isfinite(distance[here]) & ~is_blocked
+        links += [(names[here], names[other]) for other in range(here + 1, len(names)) if is_linked[other]]
     return tuple(links)

@@ -2,7 +2,20 @@
 
 class Blocks {
   constructor(read) {
-    this.bytes = read; // the bytes of a block by its number, as a promise
+    this.read = read; // gives the bytes of a block by its number, as a promise
+    this.ahead = new Map();
+  }
+
+  fetchAhead(block) {
+    const bytes = this.read(block);
+    bytes.catch(() => {}); // said where the block is used
+    this.ahead.set(block, bytes);
+  }
+
+  bytes(block) {
+    const bytes = this.ahead.get(block) ?? this.read(block);
+    this.ahead.delete(block);
+    return bytes;
   }
 
   async picture(photo) {

@@ -9,7 +9,7 @@ class Headset {
     Object.assign(this, { gl, renderer, walker, world });
   }
 
-  async enter(onEnd) {
+  async enter(onEnd, onFrame) {
     const { gl } = this;
     await gl.makeXRCompatible();
     const session = await navigator.xr.requestSession('immersive-vr', { optionalFeatures: ['local-floor'] });
@@ -25,6 +25,7 @@ class Headset {
       session.requestAnimationFrame(frame);
       this.walker.advance(before === null ? 0 : (time - before) / 1000);
       before = time;
+      onFrame();
       this.draw(session, xr.getViewerPose(space));
     };
     session.requestAnimationFrame(frame);

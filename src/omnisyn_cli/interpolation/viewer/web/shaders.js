@@ -198,10 +198,13 @@ void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   vec2 rho = vec2(has[0].x == 1 ? texelFetch(seen[0], pixel, 0).r : 0.0,
     has[1].x == 1 ? texelFetch(seen[1], pixel, 0).r : 0.0);
-  vec4 first = shaded(photo[0], usable[0], trust[0], exposure[0], toSource[0], offset[0], has[0], exposed[0], ray, rho.x,
-    angle);
-  vec4 second = shaded(photo[1], usable[1], trust[1], exposure[1], toSource[1], offset[1], has[1], exposed[1], ray,
-    rho.y, angle);
+  vec4 first = vec4(0.0), second = vec4(0.0); // a cross-fade shows only one photograph at its ends
+  if (isCrossFade < 0.5 || rule.x < 1.0)
+    first = shaded(photo[0], usable[0], trust[0], exposure[0], toSource[0], offset[0], has[0], exposed[0], ray, rho.x,
+      angle);
+  if (isCrossFade < 0.5 || rule.x > 0.0)
+    second = shaded(photo[1], usable[1], trust[1], exposure[1], toSource[1], offset[1], has[1], exposed[1], ray,
+      rho.y, angle);
   vec2 near = max(rho, 0.0);
   vec2 weights = isCrossFade > 0.5 ? vec2(1.0 - rule.x, rule.x) * vec2(first.a, second.a)
     : viewWeights(vec2(first.a, second.a), near, ray);

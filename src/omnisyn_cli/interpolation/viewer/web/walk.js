@@ -2,6 +2,7 @@
 
 const MOST_PIXELS = 2560 * 1440;
 const SLOW = 40; // milliseconds of a frame above which pictures are made smaller while something moves
+const FIRST_SHARE = 0.35; // of the sides of the first picture, which is small and comes at once
 const FORMAT_VERSION = 1;
 const PHONE_SIDE = 600; // pixels of the shorter side of a screen
 
@@ -22,7 +23,7 @@ export class OmnisynWalk extends EventTarget {
     this.$ = (id) => this.root.getElementById(id);
     this.isStill = matchMedia('(prefers-reduced-motion: reduce)').matches;
     this.ending = new AbortController();
-    Object.assign(this, { share: 1, isWaiting: false, before: null, renderer: null, gl: null, arrivals: [] });
+    Object.assign(this, { share: FIRST_SHARE, isWaiting: false, before: null, renderer: null, gl: null, arrivals: [] });
     element.dataset.state = 'loading';
     this.ready = this.begin(source).catch((error) => this.failed(error));
     this.ready.catch(() => {}); // said in the element, and told to those who wait for it
@@ -32,8 +33,10 @@ export class OmnisynWalk extends EventTarget {
     const { manifest, bytes } = await openedSource(source);
     if (manifest.version !== FORMAT_VERSION) throw new Error(`expected a walk of version ${FORMAT_VERSION}, got ${manifest.version}`);
     this.manifest = manifest;
+    const blocks = new Blocks(bytes);
+    blocks.fetchAhead(manifest.panoramas[manifest.start.panorama].photo[0].block); // while shaders are compiled
     this.openCanvas(this.$('view'));
-    this.world = new World(manifest, new Blocks(bytes), this.gl, this.options);
+    this.world = new World(manifest, blocks, this.gl, this.options);
     this.walker = new Walker(this.world);
     if (this.options.keepsAddress) this.walker.address = location.hash;
     this.wire();
@@ -95,7 +98,7 @@ export class OmnisynWalk extends EventTarget {
     $('help').addEventListener('click', () => this.unfold('help', 'hint', $('hint').hidden));
     $('mapper').addEventListener('click', () => this.unfold('mapper', 'map', $('map').hidden));
     Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
-    $('headset').addEventListener('click', () => this.headset.enter(() => this.change()));
+    $('headset').addEventListener('click', () => this.headset.enter(() => this.change(), () => this.keepUp()));
     keys.addEventListener('keydown', (event) => this.key(event), { signal });
     document.addEventListener('fullscreenchange', () => {
       $('whole').setAttribute('aria-label', document.fullscreenElement ? 'Leave full screen' : 'Full screen');
@@ -212,9 +215,14 @@ export class OmnisynWalk extends EventTarget {
       const now = wants.filter((want) => want.isNow), done = now.filter((want) => world.things.has(want.key)).length;
       [$('progress').max, $('progress').value] = [now.length, done];
       if (isOpening && !this.fade) this.say(done < now.length ? `Unpacking surfaces, ${done} of ${now.length} …` : '');
-      if (done === now.length) this.opened();
-      this.change();
+      const isDone = done === now.length;
+      if (isDone) this.opened();
+      if (isDone || !this.drawn) this.change(); // pictures on the way cost more than they show
     });
+  }
+
+  keepUp() {
+    if (this.preparedFor !== this.needs) this.prepare().catch((error) => this.failed(error));
   }
 
   opened() {
@@ -260,7 +268,7 @@ export class OmnisynWalk extends EventTarget {
     this.before = isMoving || this.controls.held.size ? time : null;
     this.draw();
     this.showPlace();
-    if (this.preparedFor !== this.needs) this.prepare().catch((error) => this.failed(error));
+    this.keepUp();
     if (isMoving || walker.isPlaying || walker.goal !== null) this.change();
     else this.settle();
     this.tellPlace();
@@ -288,7 +296,7 @@ export class OmnisynWalk extends EventTarget {
     clearTimeout(this.settling);
     this.settling = setTimeout(() => {
       if (this.ending.signal.aborted) return;
-      if (this.share < 1) this.draw(1);
+      if (this.share < 1 && this.element.dataset.state === 'ready') this.draw(1);
       if (!this.options.keepsAddress) return;
       this.written = this.walker.address;
       history.replaceState(null, '', this.written);
