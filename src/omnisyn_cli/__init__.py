@@ -6,6 +6,7 @@ imported when they are used, so that importing the package takes no time.
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     )
 
 __version__ = "0.1.0"
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+"""Releases of ONNX Runtime from 1.29 on tell their maker about every session, unless this is set before they load."""
 
 __all__ = [
     "PRESETS",
