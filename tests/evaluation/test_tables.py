@@ -164,6 +164,15 @@ def test_groups_by_scene_time_distance_and_baseline():
     assert baselines["5 to 10 m"]["matching"] == 22.0
 
 
+@pytest.mark.parametrize(
+    ("median", "name"),
+    [(20.0, "narrow (0 to 0.25)"), (8.0, "medium (0.25 to 0.6)"), (2.0, "wide (from 0.6)")],
+)
+def test_groups_by_baseline_over_median_depth(median: float, name: str) -> None:
+    shown = figures(table("Baseline over median depth", [unit("hall", "matching", median_depth=median)]))
+    assert shown[name]["matching"] == 20.0
+
+
 def test_depth_is_averaged_over_panoramas_plain_and_weighted():
     plain = figures(table("Depth, every pixel counts alike"))["matching"]
     weighted = figures(table("Depth, weighted by solid angle"))["matching"]

@@ -8,14 +8,13 @@ from torch.nn import functional
 from walk_samples import ball_walk, make_walks
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction, feature_directions
 from omnisyn_cli.training.data import Augmentation, list_pool
 from omnisyn_cli.training.guided_depth import (
-    BASELINE_BINS,
     GuidedBatch,
-    baseline_bin,
     draw_guided,
     facing_the_other,
     guided_loss,

@@ -13,6 +13,7 @@ from typing import Any
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes, in_tours
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
+from omnisyn_cli.evaluation.grouping import median_depth
 from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
 from omnisyn_cli.evaluation.methods import (
     BOUND,
@@ -293,7 +294,7 @@ class _UnitRunner:
             for truth, scores, shown, by_kind in zip(loaded.truths, made.scores, pictures, made.by_kind, strict=True)
         )
         return replace(
-            blank, status="done", size=loaded.size, frames=frames, depths=depths,
+            blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded), frames=frames, depths=depths,
             temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
         )  # fmt: skip
 
@@ -302,3 +303,8 @@ def one_line(error: Exception) -> str:
     """The message of an error; for those that this package did not expect, with their kind."""
     text = " ".join(str(error).split())
     return text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}"
+
+
+def _median_depth_of(loaded: LoadedPair) -> float | None:
+    known = loaded.views[0].known_depth
+    return None if known is None else median_depth(known.inverse_depth)

@@ -5,6 +5,9 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float
+
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
 ORACLE_METHODS = frozenset({"oracle-depth"})
@@ -17,6 +20,9 @@ MAIN_SCORE = "ws_psnr"
 
 BAND_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, math.inf)
 """Metres: distances are put together from one edge (excluded) to the next (included)."""
+
+BASELINE_BINS = {"narrow": (0.0, 0.25), "medium": (0.25, 0.6), "wide": (0.6, math.inf)}
+"""Baseline over median depth, from and below: 2 m are wide in a room and narrow in a street."""
 
 TIME_BANDS = 5
 """Parts of equal length that the way between two panoramas is cut into."""
@@ -91,6 +97,25 @@ def distance_band(metres: float) -> tuple[float, str]:
     band = max(1, next(index for index, edge in enumerate(BAND_EDGES) if rounded <= edge))
     lower, upper = BAND_EDGES[band - 1], BAND_EDGES[band]
     return lower, f"more than {lower:g} m" if math.isinf(upper) else f"{lower:g} to {upper:g} m"
+
+
+def baseline_bin(ratio: float) -> str:
+    """The name of the bin of a baseline over median depth."""
+    return next(name for name, (least, below) in BASELINE_BINS.items() if least <= ratio < below)
+
+
+def median_depth(inverse_depth: Float[np.ndarray, "height width"]) -> float:
+    """Metres, of what is not the sky in a map of 1/metre; 1 km where there is nothing else."""
+    near = inverse_depth[::4, ::4]
+    near = near[np.isfinite(near) & (near > 0)]
+    return 1.0 / float(np.median(near)) if near.size else 1e3
+
+
+def relative_baseline_bin(record: UnitRecord) -> tuple[float, str]:
+    """Order and name of the bin of a unit, with its bounds; its median depth is known."""
+    name = baseline_bin(record.baseline / (record.median_depth or math.inf))
+    least, below = BASELINE_BINS[name]
+    return least, f"{name} (from {least:g})" if math.isinf(below) else f"{name} ({least:g} to {below:g})"
 
 
 def time_band(t: float) -> tuple[float, str]:

@@ -89,6 +89,7 @@ class UnitRecord:
         status: see :data:`Status`.
         reason: one line; empty if done.
         baseline: metres from the first to the second panorama; NaN where the scene could not be read.
+        median_depth: metres, of the first panorama; None without true depth.
         size: height and width of the frames that were compared, (0, 0) where there are none.
         frames: one for every true frame between, in walking order.
         depths: of the first and of the second panorama; empty for methods without depth.
@@ -109,6 +110,7 @@ class UnitRecord:
     status: Status
     reason: str = ""
     baseline: float = math.nan
+    median_depth: float | None = None
     size: tuple[int, int] = (0, 0)
     frames: tuple[FrameRecord, ...] = ()
     depths: tuple[DepthRecord, ...] = ()

@@ -283,7 +283,7 @@ def _seconds_table(records: Sequence[UnitRecord]) -> Table:
 
 
 def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
-    """WS-PSNR by pair, by the share of the way, and by the distance to the nearer and between both panoramas."""
+    """WS-PSNR by pair, by the share of the way, by the distance to the nearer panorama, and by the baseline."""
     names = grouping.pair_names(records)
     for title, corner, group in (
         ("Scenes", "Scene", lambda unit, _: (0, names[unit.pair])),
@@ -292,6 +292,9 @@ def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
         ("Baseline", "Between the panoramas", lambda unit, _: grouping.distance_band(unit.baseline)),
     ):
         yield _score_table(title, corner, records, group)
+    if known := [unit for unit in records if unit.median_depth is not None]:
+        title = "Baseline over median depth"
+        yield _score_table(title, "Pairs", known, lambda unit, _: grouping.relative_baseline_bin(unit))
 
 
 def _method_table(

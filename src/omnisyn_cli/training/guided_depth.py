@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin, median_depth
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
@@ -22,10 +23,7 @@ from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres,
 from omnisyn_cli.training.simulated_matching import simulated_matching
 from omnisyn_cli.training.walks import Walk, load_walk
 
-__all__ = ["BASELINE_BINS", "GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
-
-BASELINE_BINS = {"narrow": (0.0, 0.25), "medium": (0.25, 0.6), "wide": (0.6, math.inf)}
-"""Baseline over median depth, from and below."""
+__all__ = ["GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
 
 WIDEST = 2.5
 """Baselines over median depth above this are not drawn."""
@@ -132,11 +130,6 @@ def draw_guided(
     )
 
 
-def baseline_bin(ratio: float) -> str:
-    """The name of the bin of a baseline over median depth."""
-    return next(name for name, (least, below) in BASELINE_BINS.items() if least <= ratio < below)
-
-
 def _draw_pair(
     walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None, guided: float
 ) -> _Pair:
@@ -179,7 +172,7 @@ def _matching(
 
 def _choose(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
     """Two views, and their baseline over the median depth of the first; all bins that there are equally often."""
-    median = [_median_depth(inverse_depth) for inverse_depth in walk.inverse_depth]
+    median = [median_depth(inverse_depth) for inverse_depth in walk.inverse_depth]
     distances = np.linalg.norm(walk.positions[:, None] - walk.positions[None], axis=-1)
     found = [
         (first, second, float(distances[first, second] / median[first]))
@@ -192,13 +185,6 @@ def _choose(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
     filled = [pairs for pairs in bins.values() if pairs]
     pairs = filled[rng.integers(len(filled))]
     return pairs[rng.integers(len(pairs))]
-
-
-def _median_depth(inverse_depth: Float[np.ndarray, "height width"]) -> float:
-    """Metres, of what is not the sky."""
-    near = inverse_depth[::4, ::4]
-    near = near[np.isfinite(near) & (near > 0)]
-    return 1.0 / float(np.median(near)) if near.size else 1e3
 
 
 def facing_the_other(
