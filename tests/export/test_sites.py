@@ -18,6 +18,7 @@ from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.types import DepthEstimate, View
 
 KRPANO_AXES = np.array([1.0, -1.0, -1.0])
@@ -80,6 +81,33 @@ def test_panoramas_are_level_and_look_north(tour: Path, tmp_path: Path, omnisyn:
             assert towards @ normalize(pose_of(there).position - pose_of(name).position) > 1 - 1e-9
     targets = [[link["target"] for link in scene["linkHotspots"]] for scene in scenes]
     assert sum(map(len, targets)) == 2 * len(LINKS)
+
+
+def test_clips_begin_and_end_with_the_panoramas(tmp_path: Path) -> None:
+    """Level like them, in both directions."""
+    chain = CHAIN[1:]
+    job = job_in(tmp_path, "site", chain=chain, format="marzipano", clips=True, preset="fast")
+    run_export(plan_export(job))
+    size = read_panorama(tmp_path / "site" / "panoramas" / "0000_p0.jpg").image.shape[:2]
+    names = ("0000_p0", "0001_p1")
+    ends = [read_panorama(tmp_path / "site" / "panoramas" / f"{name}.jpg").image for name in names]
+    assert {file.name for file in (tmp_path / "site" / "clips").iterdir()} == {
+        f"{names[0]}--{names[1]}.mp4", f"{names[1]}--{names[0]}.mp4",
+    }  # fmt: skip
+    for first, last in ((0, 1), (1, 0)):
+        clip = tmp_path / "site" / "clips" / f"{names[first]}--{names[last]}.mp4"
+        frames = list(read_frames(clip, size, 100))
+        assert len(frames) == 37
+        begin, half, end = (
+            [np.abs(frames[k] / 255 - panorama).mean() for panorama in (ends[first], ends[last])] for k in (0, 18, -1)
+        )
+        assert 1.2 * max(begin[0], end[1]) < min(begin[1], *half, end[0])  # videos blur coloured waves of a few pixels
+
+
+@pytest.mark.parametrize("kind", ["glb", "krpano", "photo-sphere-viewer"])
+def test_only_pages_that_play_clips_get_them(tmp_path: Path, kind: str) -> None:
+    with pytest.raises(InputError, match=r"expected clips with 'pannellum', 'marzipano', got"):
+        plan_export(job_in(tmp_path, "site.glb" if kind == "glb" else "site", format=kind, clips=True))
 
 
 def krpano_depth_file(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,7 @@ from PIL import Image
 
 from cli.cli_samples import Omnisyn
 from export.site_samples import LANDMARKS, LINKS, NEIGHBOUR, PLACES, pose_of, write_tour
+from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from viewer.browser import MINUTES, Launch
 
 WIDTH, HEIGHT = 720, 400
@@ -35,8 +36,8 @@ JAVASCRIPT = {
         "turn": "([yaw, pitch]) => viewer.lookAt(pitch, yaw, undefined, false)",
         "view": "[viewer.getYaw(), viewer.getPitch()]",
         "across": "viewer.getHfov()",
-        "link": "(id) => viewer.getConfig().hotSpots.find((spot) => spot.sceneId === id).div",
-        "follow": "(id) => viewer.getConfig().hotSpots.find((spot) => spot.sceneId === id).div.click()",
+        "link": "(id) => viewer.getConfig().hotSpots.find((spot) => (spot.sceneId ?? spot.clickHandlerArgs?.target) === id).div",
+        "follow": "(id) => viewer.getConfig().hotSpots.find((spot) => (spot.sceneId ?? spot.clickHandlerArgs?.target) === id).div.click()",
         "marks": ".pnlm-hotspot-base",
         "texts": "[...document.querySelectorAll('.pnlm-tooltip span')].map((mark) => mark.textContent)",
     },
@@ -57,7 +58,7 @@ JAVASCRIPT = {
     },
     "marzipano": {
         "ready": "typeof viewer !== 'undefined' && viewer?.scene() && !viewer._replacedScene",
-        "scene": "[...scenes].find(([, { scene }]) => scene === viewer.scene())[0]",
+        "scene": "[...scenes].find(([, { scene }]) => scene === viewer.scene())?.[0]",
         "turn": "([yaw, pitch]) => viewer.scene().view()"
         ".setParameters({ yaw: yaw * Math.PI / 180, pitch: -pitch * Math.PI / 180 })",
         "view": "[viewer.scene().view().yaw(), -viewer.scene().view().pitch()].map((angle) => angle * 180 / Math.PI)",
@@ -71,6 +72,17 @@ JAVASCRIPT = {
     },
 }
 """What every viewer calls what is done here."""
+
+
+KEEP_VIDEOS = """
+  window.videos = [];
+  const make = document.createElement.bind(document);
+  document.createElement = (name, ...more) => {
+    const element = make(name, ...more);
+    if (name === 'video') videos.push(element);
+    return element;
+  };
+"""
 
 
 @contextmanager
@@ -146,15 +158,17 @@ def opened(launch: Launch) -> Iterator[Any]:
         yield browser
 
 
-@pytest.fixture(params=sorted(JAVASCRIPT))
-def shown(request: pytest.FixtureRequest, npm: str, opened: Any, tmp_path: Path, omnisyn: Omnisyn) -> Iterator[Shown]:
-    viewer, site = request.param, tmp_path / "a site"
-    said = omnisyn.made("export", write_tour(tmp_path / "tour"), "--format", viewer, "-o", site).err
+@contextmanager
+def opened_site(viewer: str, npm: str, browser: Any, folder: Path, omnisyn: Omnisyn, *more: object) -> Iterator[Shown]:
+    """The painted tour as a site, with the viewer that the program says how to get; nothing comes from elsewhere."""
+    site = folder / "a site"
+    said = omnisyn.made("export", write_tour(folder / "tour"), "--format", viewer, "-o", site, *more).err
     command = next(line for line in said.splitlines() if "npm install" in line).split("get it: ")[1]
     subprocess.run([npm, *shlex.split(command)[1:]], check=True, capture_output=True)
     with served(site) as address:
-        page = opened.new_context(viewport={"width": WIDTH, "height": HEIGHT}).new_page()
+        page = browser.new_context(viewport={"width": WIDTH, "height": HEIGHT}).new_page()
         page.set_default_timeout(MINUTES)
+        page.add_init_script(KEEP_VIDEOS)
         found = Shown(page, JAVASCRIPT[viewer], [], [])
         page.on("request", lambda each: found.requests.append(each.url))
         page.on("pageerror", lambda error: found.errors.append(str(error)))
@@ -165,6 +179,12 @@ def shown(request: pytest.FixtureRequest, npm: str, opened: Any, tmp_path: Path,
         assert found.errors == []
         assert [url for url in found.requests if not url.startswith((address, "data:", "blob:"))] == []
         page.context.close()
+
+
+@pytest.fixture(params=sorted(JAVASCRIPT))
+def shown(request: pytest.FixtureRequest, npm: str, opened: Any, tmp_path: Path, omnisyn: Omnisyn) -> Iterator[Shown]:
+    with opened_site(request.param, npm, opened, tmp_path, omnisyn) as site:
+        yield site
 
 
 def identity(name: str) -> str:
@@ -210,3 +230,30 @@ def test_a_link_is_followed_by_hand_and_texts_are_texts(shown: Shown) -> None:
     shown.turn(*yaw_and_pitch(pose_of("stairs").position - pose_of("hall").position))
     shown.page.mouse.click(WIDTH / 2, HEIGHT / 2)
     shown.arrive(identity("stairs"))
+
+
+@pytest.mark.parametrize("viewer", [name for name in JAVASCRIPT if VIEWERS[name].plays_clips])
+def test_a_clip_leads_to_the_next_panorama(
+    viewer: str, npm: str, opened: Any, tmp_path: Path, omnisyn: Omnisyn
+) -> None:
+    """Half way the landmark is still in the centre, and the picture is that of neither end."""
+    options = ("--clips", "--preset", "fast", "--texture", 512, "--threads", 1)
+    with opened_site(viewer, npm, opened, tmp_path, omnisyn, *options) as shown:
+        colour, place = LANDMARKS["red"]
+        shown.turn(*place)
+        before = shown.page.screenshot()
+        shown.do("follow", identity("garden"))
+        for _ in range(MINUTES // 20):
+            if shown.page.evaluate("videos.some((video) => video.currentTime > 0.5 && (video.pause(), true))"):
+                break
+            shown.page.wait_for_timeout(20)
+        off = shown.off_centre(colour)
+        half_way = shown.page.screenshot()
+        assert shown.page.evaluate("videos.length") == 1
+        assert not shown.page.evaluate("videos[0].ended")
+        shown.page.evaluate("() => { videos[0].play(); }")
+        shown.arrive(identity("garden"))
+        assert len({before, half_way, shown.page.screenshot()}) == 3
+        print(f"{off:.3f} degrees off half way, {shown.off_centre(colour):.3f} there")
+        assert off < 1.0  # a pixel and a half of the clip: its depth is an estimate
+        assert shown.off_centre(colour) < TOLERANCE_DEG

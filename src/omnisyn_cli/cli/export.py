@@ -60,6 +60,10 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0, show_default=True,
     help="Radius of the sphere around each panorama that holds everything farther away.",
 )  # fmt: skip
+@click.option(
+    "--clips", is_flag=True,
+    help="With pannellum and marzipano: make short videos of the ways, which the page shows instead of fading.",
+)  # fmt: skip
 @surface_options
 @click.option(
     "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of the same names."
@@ -68,7 +72,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
 @json_option("the summary")
 @quiet_option
 def export(
-    *, as_json: bool, dry_run: bool, quiet: bool,
+    *, as_json: bool, dry_run: bool, quiet: bool, clips: bool,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002
 ) -> None:  # fmt: skip
     """Write panoramas A, B and more, with their depth, for other programs.
@@ -90,7 +94,7 @@ def export(
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
-    job = ExportJob(format=format, texture=texture, stride=stride, sky=sky, dome=dome, **given)
+    job = ExportJob(format=format, texture=texture, stride=stride, sky=sky, dome=dome, clips=clips, **given)
     run_job(job, plan_export, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet)
 
 

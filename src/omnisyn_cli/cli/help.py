@@ -9,10 +9,10 @@ import click
 from omnisyn_cli.cli.terminal import printable
 
 SECTIONS: Mapping[str, str] = {
-    "Input": "every poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect upper_half "
-    "hfov vfov horizon view_transform max_pixels",
+    "Input": "every path poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect "
+    "upper_half hfov vfov horizon view_transform max_pixels",
     "Output": "output frames duration fps size format views stereo codec crf encoder_preset texture lossless "
-    "folder serve is_opened stride sky dome save_depth save_confidence save_frames overwrite",
+    "folder serve is_opened clips stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
     "Camera": "ease heading fov look",
     "Depth": "depth model cut cut_metres",

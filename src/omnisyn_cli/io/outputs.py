@@ -22,6 +22,7 @@ __all__ = [
     "check_name",
     "check_output",
     "check_staged_folder",
+    "hidden_folder",
     "make_folder",
     "real_path",
     "replaced_when_complete",

@@ -15,7 +15,7 @@ from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
-from omnisyn_cli.interpolation.export.site_writer import write_site
+from omnisyn_cli.interpolation.export.site_writer import SiteOptions, write_site
 from omnisyn_cli.interpolation.export.triangulation import textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from omnisyn_cli.interpolation.job import TourJob
@@ -40,8 +40,8 @@ POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
 PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
 """Bytes of a point and of a disc in a file."""
 
-READING_BYTES, LEVELLING_BYTES = 3 * 15.0, 9.0
-"""Of each pixel of a panorama while it is read, with the one before; of each while it is made level."""
+SITE_BYTES, SITE_PIXEL_BYTES = 290e6, 54
+"""Of a site without depth: the program, and each pixel of a panorama that is read and made level. Measured."""
 
 
 class Format(NamedTuple):
@@ -91,6 +91,7 @@ class ExportJob(TourJob):
         stride: pixels of the depth between points; None is the format's.
         sky: whether what is infinitely far is shown, on the dome; None is the format's.
         dome: metres around each panorama beyond which everything lies on one sphere.
+        clips: make videos of the ways between the panoramas of a site.
     """
 
     format: str | None = None
@@ -98,6 +99,7 @@ class ExportJob(TourJob):
     stride: Annotated[int, Ge(1)] | None = None
     sky: bool | None = None
     dome: Annotated[float, Gt(0)] = 200.0
+    clips: bool = False
 
     @property
     def follows_links(self) -> bool:
@@ -127,14 +129,11 @@ class ExportPlan(TourPlan):
     @property
     def memory(self) -> int:
         """Bytes that it will take, estimated."""
-        chosen, columns = FORMATS[self.format], self.job.texture
-        if not self.has_depth:
-            return int(
-                max(height * width for height, width in self.source_sizes) * READING_BYTES
-                + LEVELLING_BYTES * columns**2 / 2
-            )
+        chosen = FORMATS[self.format]
+        if not (self.has_depth or self.job.clips):
+            return int(SITE_BYTES + SITE_PIXEL_BYTES * max(height * width for height, width in self.source_sizes))
         if chosen.point == 0:
-            footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=columns)
+            footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)
         else:
             spread = POINTS_PER_VERTEX / self.stride**2
             footprint = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
@@ -188,6 +187,9 @@ def plan_export(job: ExportJob) -> ExportPlan:
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
+    if job.clips and not (name in VIEWERS and VIEWERS[name].plays_clips):
+        players = [each for each, viewer in VIEWERS.items() if viewer.plays_clips]
+        raise InputError(f"expected clips with {listed(players)}, got {name}; leave them out (--clips)")
     notes, has_depth = list(tour.notes), name not in VIEWERS or VIEWERS[name].has_depth
     if name in VIEWERS:
         notes.append(f"the viewer is not part of the site, get it: {VIEWERS[name].advice(output)}")
@@ -251,7 +253,8 @@ def run_export(
 
     if plan.format in VIEWERS:
         found = tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock) if plan.has_depth else None
-        links = write_site(plan, plan.format, plan.job.texture, plan.job.dome, found, clock, on_panorama)
+        options = SiteOptions(plan.format, plan.job.texture, plan.job.dome, plan.job.clips)
+        links = write_site(plan, options, found, clock, on_panorama)
         return ExportSummary(plan, clock.with_total(), pairs, left_out, links=links)
     write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
     points, triangles = write(plan, surfaces(), clock)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -17,7 +17,7 @@ from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
 from omnisyn_cli.types import View
 
-PICTURES, DEPTH, HOTSPOTS = "panoramas", "depth", "hotspots"
+PICTURES, DEPTH, HOTSPOTS, CLIPS = "panoramas", "depth", "hotspots", "clips"
 """Folders of a site."""
 
 REMAP_ROWS = 256
@@ -42,6 +42,7 @@ class SiteMark:
         yaw, pitch: radians to the right of north (−z of the world), and above the horizon.
         position: place in the world in metres, or None where only the direction is known.
         target: identity of the panorama that it leads to, or None.
+        clip: a video of the way there, relative to the site, or None.
         link: an address that it leads to, or None.
         image: a picture that it shows, relative to the site, or None.
     """
@@ -51,6 +52,7 @@ class SiteMark:
     pitch: float
     position: Float[np.ndarray, " 3"] | None = None
     target: str | None = None
+    clip: str | None = None
     link: str | None = None
     image: str | None = None
 
@@ -100,23 +102,26 @@ class Site:
         return sum(mark.target is not None for panorama in self.panoramas for mark in panorama.marks) // 2
 
 
-def site_of(tour: Tour, identities: Mapping[str, str], images: Mapping[Path, str]) -> Site:
+def site_of(tour: Tour, identities: Mapping[str, str], images: Mapping[Path, str], *, has_clips: bool = False) -> Site:
     """The site of a tour.
 
     Args:
         tour: the tour.
         identities: of the panoramas, by their names.
         images: where the site has the pictures of hotspots.
+        has_clips: whether there is a video of every way.
     """
-    panoramas = tuple(_panorama(tour, panorama, identities, images) for panorama in tour.panoramas)
+    panoramas = tuple(_panorama(tour, panorama, identities, images, has_clips) for panorama in tour.panoramas)
     return Site(tour.title, panoramas, identities[tour.start.panorama], tour.start.fov)
 
 
 def _panorama(
-    tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], images: Mapping[Path, str]
+    tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], images: Mapping[Path, str], has_clips: bool
 ) -> SitePanorama:
     identity, pose = identities[panorama.name], panorama.pose
     links = tuple(_link(pose, tour.by_name[name], identities[name]) for name in tour.neighbours[panorama.name])
+    if has_clips:
+        links = tuple(replace(link, clip=f"{CLIPS}/{identity}--{link.target}.mp4") for link in links)
     hotspots = tuple(_hotspot(pose, hotspot, images) for hotspot in (*panorama.hotspots, *tour.hotspots))
     yaw, pitch = (links[0].yaw, 0.0) if links else yaw_and_pitch(pose.rotation @ [0.0, 0.0, -1.0])
     if tour.start.panorama == panorama.name and tour.start.yaw is not None:

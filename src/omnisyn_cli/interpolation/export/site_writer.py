@@ -2,13 +2,18 @@
 
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export.datasets import safe_name
 from omnisyn_cli.interpolation.export.site import (
+    CLIPS,
     DEPTH,
+    Site,
     depth_model,
     hotspot_pictures,
     levelled,
@@ -16,26 +21,51 @@ from omnisyn_cli.interpolation.export.site import (
     site_of,
 )
 from omnisyn_cli.interpolation.export.viewers import krpano_depth, site_files
+from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.loading import Loader
-from omnisyn_cli.interpolation.plan import TourPlan
+from omnisyn_cli.interpolation.plan import TourPlan, plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.surfaces import PairSurfaces
-from omnisyn_cli.io import read_panorama
+from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
-from omnisyn_cli.io.outputs import make_folder, staged_folder, write_errors, write_parts
+from omnisyn_cli.io.ffmpeg_process import read_frames
+from omnisyn_cli.io.outputs import hidden_folder, make_folder, staged_folder, write_errors, write_parts
+from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.types import View
+
+CLIP_FRAMES, CLIP_FPS, CLIP_CRF = 37, 24.0, 20.0
+"""A second and a half, because longer ones make people wait; two thirds of the bytes of other videos."""
+
+MAX_CLIP_ROWS = 1024
+"""What telephones decode besides showing a sphere."""
+
+
+@dataclass(frozen=True)
+class SiteOptions:
+    """What a site is like.
+
+    Attributes:
+        viewer: one of :data:`omnisyn_cli.interpolation.export.viewers.VIEWERS`.
+        columns: that panoramas have at most.
+        dome: metres beyond which depth is not modelled.
+        has_clips: whether videos of the ways are made.
+    """
+
+    viewer: str
+    columns: int
+    dome: float
+    has_clips: bool = False
 
 
 def write_site(
-    plan: TourPlan, viewer: str, columns: int, dome: float, surfaces: Iterator[PairSurfaces] | None, clock: Stopwatch,
+    plan: TourPlan, options: SiteOptions, surfaces: Iterator[PairSurfaces] | None, clock: Stopwatch,
     on_panorama: Callable[[int], None] | None = None,
 ) -> int:  # fmt: skip
     """Write the folder of a site; it appears when everything has gone well.
 
     Args:
         plan: of the tour.
-        viewer: one of :data:`omnisyn_cli.interpolation.export.viewers.VIEWERS`.
-        columns: that panoramas have at most.
-        dome: metres beyond which depth is not modelled.
+        options: what the site is like.
         surfaces: of all pairs for a viewer that wants depth, else None.
         clock: collects seconds by stage.
         on_panorama: called with the number of finished panoramas, after each.
@@ -48,21 +78,25 @@ def write_site(
         for index, panorama in enumerate(tour.panoramas)
     }
     images = hotspot_pictures(tour)
-    site = site_of(tour, {panorama.name: identities[panorama.image] for panorama in tour.panoramas}, images)
+    names = {panorama.name: identities[panorama.image] for panorama in tour.panoramas}
+    site = site_of(tour, names, images, has_clips=options.has_clips)
     pictures = {panorama.identity: panorama.picture for panorama in site.panoramas}
     with staged_folder(job.output, overwrite=job.overwrite) as staged:
-        views = _views(plan, clock) if surfaces is None else _views_with_depth(plan, surfaces, dome)
+        views = _views(plan, clock) if surfaces is None else _views_with_depth(plan, surfaces, options.dome)
         known = ((identities[image], view, depth) for image, view, depth in views if image in identities)
         for done, (identity, view, depth) in enumerate(known, start=1):
             with clock("export"):
-                picture = levelled(photograph(view, columns), view.pose.rotation)
+                picture = levelled(photograph(view, options.columns), view.pose.rotation)
                 _write(staged / pictures[identity], jpeg_bytes(picture))
                 if depth is not None:
                     _write(staged / DEPTH / f"{identity}.depth", depth)
             if on_panorama:
                 on_panorama(done)
+        if options.has_clips:
+            with clock("clips"):
+                _write_clips(plan, site, staged)
         with clock("write"):
-            for name, content in site_files(viewer, site).items():
+            for name, content in site_files(options.viewer, site).items():
                 _write(staged / name, content)
             for source, name in images.items():
                 make_folder((staged / name).parent, "pictures of hotspots")
@@ -93,6 +127,40 @@ def _views_with_depth(
                 vertices[surface.index] = count
                 model = depth_model(surface.mesh.inverse_depth, surface.view.pose.rotation, dome)
                 yield plan.job.images[surface.index], surface.view, krpano_depth(*model)
+
+
+def _write_clips(plan: TourPlan, site: Site, staged: Path) -> None:
+    """Videos of every way in both directions, level and looking north like the panoramas that they begin and end with.
+
+    They are made of the panoramas as the site has them. The way back is the way there, played backwards.
+    """
+    job, pictures = plan.job, {panorama.identity: staged / panorama.picture for panorama in site.panoramas}
+    clips = {
+        (panorama.identity, mark.target): staged / mark.clip
+        for panorama in site.panoramas
+        for mark in panorama.marks
+        if mark.target is not None and mark.clip is not None
+    }
+    make_folder(staged / CLIPS, "clips")
+    with hidden_folder(staged / CLIPS) as folder:
+        poses = folder / POSES_NAME
+        level = {panorama.identity: Pose(np.eye(3), panorama.position) for panorama in site.panoramas}
+        write_poses(poses, {pictures[name].name: PosedPanorama(pose) for name, pose in level.items()})
+        for (first, second), clip in clips.items():
+            if first > second:
+                continue
+            images = pictures[first], pictures[second]
+            rows = min(*(read_header(image).height for image in images), MAX_CLIP_ROWS)
+            size = (rows - rows % 2, 2 * (rows - rows % 2))
+            there = InterpolationJob(
+                images, poses, clip, preset=job.preset, device=job.device, threads=job.threads, nadir=job.nadir,
+                frames=CLIP_FRAMES, fps=CLIP_FPS, crf=CLIP_CRF, size=size,
+            )  # fmt: skip
+            run_interpolation(plan_interpolation(there))
+            frames = list(read_frames(clip, size, CLIP_FRAMES))
+            with open_video(clips[second, first], size=size, fps=CLIP_FPS, crf=CLIP_CRF) as sink:
+                for frame in reversed(frames):
+                    sink.write(frame)
 
 
 def _write(target: Path, content: bytes) -> None:

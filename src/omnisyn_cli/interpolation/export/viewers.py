@@ -48,11 +48,13 @@ class Viewer:
         document: name of the file that describes the tour, and what makes its text.
         packages: on npm, with the versions that are known to show it; none where it is not there.
         has_depth: whether it wants depth.
+        plays_clips: whether its page shows videos of the ways.
     """
 
     document: tuple[str, Callable[[Site], str]]
     packages: Mapping[str, str]
     has_depth: bool = False
+    plays_clips: bool = False
 
     def advice(self, folder: Path) -> str:
         """How to get its own files."""
@@ -106,7 +108,8 @@ def _pannellum_mark(mark: SiteMark) -> dict[str, Any]:
     place = {**_degrees(mark), "text": mark.text}
     if mark.target is not None:
         same = {"targetYaw": "sameAzimuth", "targetPitch": "same", "targetHfov": "same"}
-        return {"type": "scene", **place, "sceneId": mark.target, **same}
+        clip = {} if mark.clip is None else {"clip": mark.clip}
+        return {"type": "scene", **place, "sceneId": mark.target, **same, **clip}
     more = {"URL": mark.link, "image": mark.image, "width": 240 if mark.image else None}
     return {"type": "info", **place, **{key: value for key, value in more.items() if value is not None}}
 
@@ -156,7 +159,7 @@ def _marzipano(site: Site) -> str:
 
 def _marzipano_scene(panorama: SitePanorama, fov: float) -> dict[str, Any]:
     links = [
-        {**_downwards(mark), "target": mark.target, "title": mark.text}
+        {**_downwards(mark), "target": mark.target, "title": mark.text, "clip": mark.clip}
         for mark in panorama.marks
         if mark.target is not None
     ]
@@ -275,12 +278,12 @@ def _downwards(at: SiteMark | SitePanorama) -> dict[str, float]:
 
 
 VIEWERS: Mapping[str, Viewer] = {
-    "pannellum": Viewer(("tour.json", _pannellum), {"pannellum": "^2.5.6"}),
+    "pannellum": Viewer(("tour.json", _pannellum), {"pannellum": "^2.5.6"}, plays_clips=True),
     "photo-sphere-viewer": Viewer(
         ("tour.json", _photo_sphere_viewer),
         {f"@photo-sphere-viewer/{part}": "^5.13.0" for part in ("core", "markers-plugin", "virtual-tour-plugin")},
     ),
-    "marzipano": Viewer(("tour.json", _marzipano), {"marzipano": "^0.10.2"}),
+    "marzipano": Viewer(("tour.json", _marzipano), {"marzipano": "^0.10.2"}, plays_clips=True),
     "krpano": Viewer(("tour.xml", _krpano), {}, has_depth=True),
 }
 """By the name of the format."""
