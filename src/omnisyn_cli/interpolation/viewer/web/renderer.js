@@ -6,7 +6,20 @@ class Renderer {
   constructor(gl, tables) {
     this.gl = gl;
     if (!gl.getExtension('EXT_color_buffer_float')) throw new Error('expected pictures of floating-point numbers');
-    const program = (vertex, fragment) => new Program(gl, HEADER + CONSTANTS + TILES + vertex, HEADER + CONSTANTS + fragment);
+    this.coefficients = tables;
+    this.plain = this.program(WHOLE_PICTURE, PLAIN_FRAGMENT);
+    this.vertices = gl.createVertexArray();
+    this.targets = null;
+    this.drawn = 0;
+  }
+
+  program(vertex, fragment) {
+    return new Program(this.gl, HEADER + CONSTANTS + TILES + vertex, HEADER + CONSTANTS + fragment);
+  }
+
+  // Compiles what surfaces are drawn with, which takes a while.
+  compile() {
+    const { gl } = this, program = (...shaders) => this.program(...shaders);
     this.whole = program(WHOLE_VERTEX, SURFACE_FRAGMENT);
     this.quarters = program(QUARTER_VERTEX, SURFACE_FRAGMENT);
     this.cap = program(CAP_VERTEX, SURFACE_FRAGMENT);
@@ -14,11 +27,16 @@ class Renderer {
     this.pull = program(WHOLE_PICTURE, PULL_FRAGMENT);
     this.push = program(WHOLE_PICTURE, PUSH_FRAGMENT);
     this.show = program(WHOLE_PICTURE, SHOW_FRAGMENT);
-    this.tables = floatTexture(gl, gl.RGBA32F, gl.RGBA, 16, 17, new Float32Array(tables));
+    this.tables = floatTexture(gl, gl.RGBA32F, gl.RGBA, 16, 17, new Float32Array(this.coefficients));
     this.one = byteTexture(gl, 1, 1, new Uint8Array([255]));
-    this.vertices = gl.createVertexArray();
-    this.targets = null;
-    this.drawn = 0;
+  }
+
+  drawPlain({ rotation, lens }, view, viewport) {
+    this.gl.disable(this.gl.DEPTH_TEST);
+    this.gl.disable(this.gl.CULL_FACE);
+    this.gl.bindVertexArray(this.vertices);
+    this.plain.use({ lens, viewport, photo: view.photo, toSource: columns(product(transposed(view.rotation), rotation)) });
+    this.fillPicture();
   }
 
   // Draws what `eye` (position, rotation, lens) sees of a scene into a framebuffer, or the canvas where that is null.
@@ -26,6 +44,13 @@ class Renderer {
   draw(eye, scene, { framebuffer = null, viewport, unknown = 0 }) {
     const { gl } = this;
     const [width, height] = viewport.slice(2);
+    if (scene.isPlain) {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+      gl.viewport(...viewport);
+      this.drawPlain(eye, scene.views[Math.round(scene.t)], viewport);
+      return;
+    }
+    if (!this.whole) this.compile();
     const margin = [width, height].map((count) => 2 * Math.ceil(GUARD * count / 2));
     const size = [width + 2 * margin[0], height + 2 * margin[1]];
     const lens = [eye.lens[0] * width / size[0], eye.lens[1] * height / size[1],

@@ -99,8 +99,29 @@ const WHOLE_PICTURE = `
 void main() { gl_Position = vec4(4.0 * float(gl_VertexID & 1) - 1.0, 2.0 * float(gl_VertexID & 2) - 1.0, 0.0, 1.0); }
 `;
 
+const PLACE = `
+vec2 placeOf(vec3 direction) {
+  return vec2(atan(direction.x, -direction.z) / (2.0 * PI) + 0.5,
+    atan(length(direction.xz), direction.y) / PI);
+}
+`;
+
+// One photograph, seen from where it was taken: a small shader, which is there early.
+const PLAIN_FRAGMENT = `${PLACE}
+uniform vec4 lens;
+uniform vec4 viewport;
+uniform sampler2D photo;
+uniform mat3 toSource;
+out vec4 shown;
+
+void main() {
+  vec2 slope = (2.0 * (gl_FragCoord.xy - viewport.xy) / viewport.zw - 1.0 - lens.zw) / lens.xy;
+  shown = vec4(textureLod(photo, placeOf(toSource * vec3(slope, -1.0)), 0.0).rgb, 1.0);
+}
+`;
+
 // Both surfaces coloured and blended: red, green, blue, and the fourth root of how much the pixel counts for holes.
-const BLEND_FRAGMENT = `
+const BLEND_FRAGMENT = `${PLACE}
 uniform vec4 lens;
 uniform vec2 size;
 uniform sampler2D seen[2];
@@ -118,11 +139,6 @@ out vec4 fused;
 
 float light(float stored) { return stored <= 0.04045 ? stored / 12.92 : pow((stored + 0.055) / 1.055, 2.4); }
 float stored(float light) { return light <= 0.0031308 ? 12.92 * light : 1.055 * pow(light, 1.0 / 2.4) - 0.055; }
-
-vec2 placeOf(vec3 direction) {
-  return vec2(atan(direction.x, -direction.z) / (2.0 * PI) + 0.5,
-    atan(length(direction.xz), direction.y) / PI);
-}
 
 // Catmull-Rom interpolation of four by four texels, by nine bilinear lookups.
 vec3 bicubic(sampler2D image, vec2 place) {

@@ -318,7 +318,12 @@ export class OmnisynWalk extends EventTarget {
     if (!scene) return;
     const begin = performance.now();
     const eye = { position: walker.position, rotation: walker.rotation, lens: lensOf(walker.fov, size) };
-    renderer.draw(eye, scene, { viewport: [0, 0, ...size], unknown: walker.strangeness });
+    try {
+      renderer.draw(eye, scene, { viewport: [0, 0, ...size], unknown: walker.strangeness });
+    } catch (error) { // a shader that this browser does not take
+      this.renderer = null;
+      this.failed(error);
+    }
     this.drawn = { scene, size };
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits, so that it can be timed

@@ -238,8 +238,9 @@ class World {
       return { photo: picture.texture, mask, position, rotation, surface, exposure };
     });
     const shown = views.filter((view) => view !== null);
-    if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, views: [shown[0], shown[0]] } : null;
-    return { t, isCrossFade: link.isCrossFade || !isReady, views };
+    const isPlain = !isReady && (t === 0 || t === 1);
+    if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, isPlain: true, views: [shown[0], shown[0]] } : null;
+    return { t, isCrossFade: link.isCrossFade || !isReady, isPlain, views };
   }
 
   // After a context was lost nothing of it is left to be deleted.
