@@ -168,10 +168,10 @@ def _softened(depth: DepthEstimate, reliability: np.ndarray, soft: np.ndarray) -
     height, width = depth.inverse_depth.shape
     x = np.clip((RELIABLE - _blurred(reliability, width / 80.0)) / (RELIABLE - UNRELIABLE), 0.0, 1.0)
     share = _blurred(x * x * (3.0 - 2.0 * x), width / 160.0)
-    soft_root = np.sqrt(resized_to(soft, (height, width), cv2.INTER_LINEAR))
-    root = (1.0 - share) * np.sqrt(np.maximum(depth.inverse_depth, 0.0)) + share * soft_root
+    soft_sqrt_rho = np.sqrt(resized_to(soft, (height, width), cv2.INTER_LINEAR))
+    sqrt_rho = (1.0 - share) * np.sqrt(np.maximum(depth.inverse_depth, 0.0)) + share * soft_sqrt_rho
     confidence = (1.0 - share) * depth.confidence + share * SOFT_CONFIDENCE
-    return replace(depth, inverse_depth=np.asarray(root**2, np.float32), confidence=confidence.astype(np.float32))
+    return replace(depth, inverse_depth=np.asarray(sqrt_rho**2, np.float32), confidence=confidence.astype(np.float32))
 
 
 def _blurred(values: np.ndarray, sigma: float) -> Float32[np.ndarray, "height width"]:
