@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -69,10 +70,10 @@ def resident() -> dict[str, int]:
         try:
             after_name = (entry / "stat").read_text().rpartition(")")[2].split()
             parents[int(entry.name)] = int(after_name[1])
-            command = (entry / "cmdline").read_bytes().split(b"\0")
+            command = (entry / "cmdline").read_bytes()
         except OSError:
             continue
-        kind = next((word[7:].decode() for word in command if word.startswith(b"--type=")), "browser")
+        kind = "".join(re.findall(r"--type=([\w-]+)", command.decode(errors="replace"))[:1])
         found[int(entry.name)] = (kind, int(after_name[21]) * os.sysconf("SC_PAGE_SIZE") / 1e6)
 
     def is_below(process: int) -> bool:

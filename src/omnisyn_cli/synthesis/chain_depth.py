@@ -101,7 +101,9 @@ def fuse_depth(*opinions: PairDepth) -> DepthEstimate:
     return DepthEstimate(inverse_depth.astype(np.float32), confidence.astype(np.float32))
 
 
-def _likelier(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, ...]:
+def _likelier(
+    one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Of two pairs of a likelihood and an inverse depth the likelier one; of equal ones the farther."""
     (likely, rho), (other_likely, other_rho) = one, other
     is_first = (likely > other_likely) | ((likely == other_likely) & (rho <= other_rho))
