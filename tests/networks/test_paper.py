@@ -15,8 +15,8 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import forward_frame, sweep_directions
 from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
 from omnisyn_cli.networks.paper import (
-    AHEAD,
     PAPER_VARIANTS,
+    UNIT_STEP_POSE,
     PaperConfig,
     PaperNetwork,
     PaperPrediction,
@@ -59,7 +59,7 @@ def test_every_sphere_is_painted_with_what_the_second_camera_sees_there():
     grid = torch.from_numpy(sweep_grid(spheres, size))
     volume = sweep_volume(torch.zeros(1, 3, *size), second, grid)[0]
     for level, inverse_depth in enumerate(spheres):
-        moved = sweep_directions(pixel_directions(*size), np.full(size, inverse_depth), AHEAD)
+        moved = sweep_directions(pixel_directions(*size), np.full(size, inverse_depth), UNIT_STEP_POSE)
         expected = sample_bilinear(second[0].permute(1, 2, 0).double().numpy(), moved)
         np.testing.assert_allclose(volume[:, level].permute(1, 2, 0), expected, atol=1e-5)
 
@@ -69,8 +69,8 @@ def test_ahead_is_where_the_forward_frame_has_the_second_camera():
     two = Pose(rotation_from_rotation_vector(np.array([-0.3, -2.0, 0.4])), np.array([0.9, 0.4, 0.7]))
     first, second, baseline = forward_frame(one, two)
     second_from_first = second.inverse() @ first
-    np.testing.assert_allclose(second_from_first.rotation, AHEAD.rotation, atol=1e-12)
-    np.testing.assert_allclose(second_from_first.position / baseline, AHEAD.position, atol=1e-12)
+    np.testing.assert_allclose(second_from_first.rotation, UNIT_STEP_POSE.rotation, atol=1e-12)
+    np.testing.assert_allclose(second_from_first.position / baseline, UNIT_STEP_POSE.position, atol=1e-12)
 
 
 def test_the_spheres_are_even_in_inverse_depth_and_begin_at_infinity():

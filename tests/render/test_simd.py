@@ -5,7 +5,7 @@ import pytest
 
 from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.render.simd import (
-    FIXED_ONE,
+    FIXED_POINT_UNIT,
     FIXED_TEXEL,
     LANES,
     broadcast,
@@ -118,7 +118,7 @@ def test_texels_are_weighted_and_summed():
     one = np.float32(1.0)
     sums(texels.astype(np.float32), *[weights.astype(np.float32)] * 2, one, one, out)
     np.testing.assert_allclose(out, expected, rtol=1e-5)
-    fixed, once = np.rint(weights * FIXED_ONE).astype(np.int16), np.float32(2.0 / FIXED_TEXEL)
+    fixed, once = np.rint(weights * FIXED_POINT_UNIT).astype(np.int16), np.float32(2.0 / FIXED_TEXEL)
     sums(texels.astype(np.uint8), np.repeat(fixed, 2).view(np.int32), fixed, once, 2 * once, out)
     errors = (expected - out) / [1, 1, 1, 3, 1, 1, 1, 1]
     assert ((errors > 0) & (errors < 6 / 32)).all()

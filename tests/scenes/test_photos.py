@@ -17,7 +17,7 @@ from omnisyn_cli.scenes.materials import Material, MaterialColumn, Pattern
 from omnisyn_cli.scenes.noise import cell_hash, noise_lattice
 from omnisyn_cli.scenes.photos import PhotoMapping, with_photos
 from omnisyn_cli.scenes.scene import PhotoTextures
-from omnisyn_cli.scenes.shader import FITTED, UNDER, photo_at
+from omnisyn_cli.scenes.shader import FITTED_MAPPING, UNDER_MAPPING, photo_at
 from omnisyn_cli.scenes.textures import FacePoint
 from omnisyn_cli.training.data import load_scene
 from omnisyn_cli.training.pool import PoolConfig, render_to_pool
@@ -98,7 +98,7 @@ def test_a_fitted_photograph_covers_its_face_once_and_is_cropped_to_it(photos):
         expected = [
             bilinear(image, 0.5 * height - (v - hv) / texel - 0.5, 0.5 * width + u / texel - 0.5) for u, v in places
         ]
-        found = looked_at(photos, FITTED, *places, half=(hu, hv))
+        found = looked_at(photos, FITTED_MAPPING, *places, half=(hu, hv))
         np.testing.assert_allclose(found, expected, atol=1e-9)
         inside = [(0.5 * height - (v - hv) / texel, 0.5 * width + u / texel) for u, v in places]
         assert all(0 < row < height and 0 < col < width for row, col in inside)
@@ -188,14 +188,14 @@ def test_windows_stay_where_a_photograph_lies_under_a_facade(photos):
     scene = wall(Pattern.FACADE, second=(0.0, 0.0, 0.9), cell=(1.0, 1.5), detail=0.2)
     attention_layers = {
         use: render_panorama(scene if use is None else papered(scene, photos, use, 0), Pose.identity(), (64, 128))[0]
-        for use in (None, UNDER, PhotoMapping.TILED)
+        for use in (None, UNDER_MAPPING, PhotoMapping.TILED)
     }
     plain = attention_layers[None]
     glass = (plain[..., 2] > 2 * plain[..., 0] + 0.1) & (np.abs(np.arange(128) - 63.5) < 16)
     assert glass.sum() > 30
-    assert np.abs(attention_layers[UNDER] - plain)[glass].mean() < 0.05
+    assert np.abs(attention_layers[UNDER_MAPPING] - plain)[glass].mean() < 0.05
     bare = plain[..., 0] > 2 * plain[..., 1] + 0.1
-    assert np.abs(attention_layers[UNDER] - plain)[bare].mean() > 0.1
+    assert np.abs(attention_layers[UNDER_MAPPING] - plain)[bare].mean() > 0.1
     assert np.abs(attention_layers[PhotoMapping.TILED] - plain)[glass].mean() > 0.15
 
 

@@ -16,7 +16,7 @@ from typing import TextIO
 import click
 
 from omnisyn_cli import __version__
-from omnisyn_cli.cli.failures import EXIT_CODES_LINE, FAILED, failure_of
+from omnisyn_cli.cli.failures import EXIT_CODES_LINE, EXIT_FAILURE, failure_of
 from omnisyn_cli.cli.lazy import LazyGroup
 from omnisyn_cli.cli.signals import signals_raised
 from omnisyn_cli.cli.terminal import print_json, say
@@ -89,7 +89,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _failed(error.format_message(), error.exit_code, given, is_said=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
-        return FAILED
+        return EXIT_FAILURE
     except BaseException as error:
         if (failure := failure_of(error)) is None:
             raise

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 
-from omnisyn_cli.cli.failures import FAILED, memory_failure
+from omnisyn_cli.cli.failures import EXIT_FAILURE, memory_failure
 
 CXX_LIBRARY = "libstdc++.so.6"
 
@@ -44,7 +44,7 @@ def explain_memory_aborts() -> None:
             meaning = MEMORY_EXCEPTIONS.get(ctypes.string_at(found[TYPE_NAME])) if found else None
             if meaning is not None:
                 os.write(STDERR, f"omnisyn: {memory_failure(meaning)}\n".encode())
-                os._exit(FAILED)
+                os._exit(EXIT_FAILURE)
             _kept[1]()
 
         _kept.append(called(end))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.failures import EXIT_CODES_LINE, FAILED
+from omnisyn_cli.cli.failures import EXIT_CODES_LINE, EXIT_FAILURE
 from omnisyn_cli.cli.options import json_option, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.progress import is_watched
@@ -85,7 +85,7 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
         report = run_batch(checked, output, BatchOptions(**options), on_progress)
     _print_report(report, output, as_json=as_json, quiet=quiet)
     if report.failed:
-        context.exit(FAILED)
+        context.exit(EXIT_FAILURE)
 
 
 @click.command("plan", epilog=EXIT_CODES_LINE)

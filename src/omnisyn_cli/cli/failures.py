@@ -8,11 +8,11 @@ import click
 from omnisyn_cli.cli.signals import Terminated
 from omnisyn_cli.errors import OmnisynError
 
-FAILED, MISUSED, UNUSABLE, INTERRUPTED = 1, 2, 3, 130
+EXIT_FAILURE, EXIT_USAGE, EXIT_INPUT, EXIT_INTERRUPT = 1, 2, 3, 130
 
 EXIT_CODES: Mapping[int, str] = {
-    0: "done", FAILED: "failed (or poses do not fit)", MISUSED: "wrong usage", UNUSABLE: "unusable input",
-    INTERRUPTED: "interrupted",
+    0: "done", EXIT_FAILURE: "failed (or poses do not fit)", EXIT_USAGE: "wrong usage", EXIT_INPUT: "unusable input",
+    EXIT_INTERRUPT: "interrupted",
 }  # fmt: skip
 """Meanings, for every command; docs/stability.md says more of each."""
 
@@ -41,15 +41,15 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
         case Terminated():
             return "ended by a signal; nothing was left half written", SIGNAL_BASE + int(error.args[0])
         case KeyboardInterrupt() | click.Abort():
-            return "interrupted; nothing was left half written", INTERRUPTED
+            return "interrupted; nothing was left half written", EXIT_INTERRUPT
     if sign := next(_signs_of_memory(error), ""):
-        return memory_failure(sign), FAILED
+        return memory_failure(sign), EXIT_FAILURE
     match error:
         case ImportError(name="torch"):
             needs = "expected torch, which training, export-onnx and frames on a GPU need, got none; install it"
-            return f'{needs} (python -m pip install "torch<2.14")', FAILED
+            return f'{needs} (python -m pip install "torch<2.14")', EXIT_FAILURE
         case OSError():
-            return _about(error), FAILED
+            return _about(error), EXIT_FAILURE
     return None
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.failures import UNUSABLE
+from omnisyn_cli.cli.failures import EXIT_INPUT
 from omnisyn_cli.cli.options import preset_option
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import shown_stages
@@ -45,7 +45,7 @@ def info(
         for description in descriptions:
             _show(description)
     if not all(description["ok"] for description in descriptions):
-        context.exit(UNUSABLE)
+        context.exit(EXIT_INPUT)
     if report is not None:
         options = {"preset": preset, "overwrite": overwrite, "allow_outside": allow_outside}
         _report(descriptions, report, **options, **({} if max_pixels is None else {"max_pixels": max_pixels}))

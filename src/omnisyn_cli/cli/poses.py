@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.failures import FAILED
+from omnisyn_cli.cli.failures import EXIT_FAILURE
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.machine import leftover_notes
 from omnisyn_cli.cli.options import (
@@ -210,7 +210,7 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
     if as_json:
         print_json(values)
     if not does_fit:
-        click.get_current_context().exit(FAILED)
+        click.get_current_context().exit(EXIT_FAILURE)
 
 
 @poses.command()

@@ -45,7 +45,7 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 __all__ = ["METHODS"]
 
-AT_FIRST = 1e-9
+FIRST_VIEW_SHARE = 1e-9
 """Share of the way at which the exposure of a frame is still that of the first view."""
 
 
@@ -198,7 +198,7 @@ class _FirstOfPair:
 
     def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """What the first view shows."""
-        return self._pair.frame(replace(waypoint, t=AT_FIRST), out)
+        return self._pair.frame(replace(waypoint, t=FIRST_VIEW_SHARE), out)
 
     def inverse_depth(self, waypoint: Waypoint) -> np.ndarray:
         """Of the first view's surface."""
@@ -236,7 +236,7 @@ BASES: Mapping[str, ComparedMethod] = {
 }  # fmt: skip
 """Methods without parameters, by name."""
 
-FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
+FUSION_PARAMETERS = {f"fusion={name}": name for name in FUSIONS}
 """Fusions by the parameter that asks for them."""
 
 WITHOUT_NETWORK = "model=none"
@@ -245,7 +245,7 @@ WITHOUT_NETWORK = "model=none"
 LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
 """What parameters leave out of a config."""
 
-LEAST_ROWS = 32
+MIN_ROWS = 32
 
 ONE_VIEW = "views=1"
 
@@ -265,7 +265,7 @@ def find_method(name: str) -> ComparedMethod:
     base, *parameters = name.split(":")
     if base not in BASES or (parameters and not BASES[base].config.draws_surfaces):
         raise InputError(f"expected one of {', '.join(BASES)} as method, got {name!r}; choose one of these")
-    fusions = [parameter for parameter in parameters if parameter in FUSED_BY]
+    fusions = [parameter for parameter in parameters if parameter in FUSION_PARAMETERS]
     if fusions and ONE_VIEW in parameters:
         raise InputError(f"expected {fusions[0]} or {ONE_VIEW}, got both in {name!r}: one view has nothing to fuse")
     method = BASES[base]
@@ -286,8 +286,10 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
             return replace(method, config=replace(config, cut=None, cut_metres=float(value)))
         if key == "renderer" and value in RENDERERS:
             return replace(method, config=replace(config, renderer=value))
-        if parameter in FUSED_BY:
-            return replace(method, config=replace(config, fusion=FUSED_BY[parameter]), shows_first_only=False)
+        if parameter in FUSION_PARAMETERS:
+            return replace(
+                method, config=replace(config, fusion=FUSION_PARAMETERS[parameter]), shows_first_only=False
+            )
         is_adjustable = config.depth.strategy.model_is_optional
         if is_adjustable and (source := _changed_source(config.depth, parameter)) is not None:
             return replace(method, config=replace(config, depth=source))
@@ -304,7 +306,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSED_BY, *LEFT_OUT))}, "
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSION_PARAMETERS, *LEFT_OUT))}, "
         f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {TOUR_PARAMETER} (where "
         f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
     )
@@ -313,7 +315,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
 def _changed_source(source: DepthSource, parameter: str) -> DepthSource | None:
     """Refined depth of other rows or without its network; None where the parameter says neither."""
     key, _, value = parameter.partition("=")
-    if key == "rows" and int(value) >= LEAST_ROWS:
+    if key == "rows" and int(value) >= MIN_ROWS:
         return replace(source, rows=int(value))
     return replace(source, model=None) if parameter == WITHOUT_NETWORK else None
 
@@ -324,7 +326,7 @@ METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*B
 
 BOUND = "oracle-depth"
 
-USUAL = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
+DEFAULT_METHODS = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
 """What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""
 
 
@@ -349,7 +351,7 @@ def find_methods(text: str) -> list[ComparedMethod]:
     InputError: a name that there is no method of, or no name.
     """
     if text in ("usual", "all"):
-        return [METHODS[name] for name in (USUAL if text == "usual" else METHODS)]
+        return [METHODS[name] for name in (DEFAULT_METHODS if text == "usual" else METHODS)]
     names = dict.fromkeys(name.strip() for name in text.split(",") if name.strip())
     if not names:
         raise InputError(

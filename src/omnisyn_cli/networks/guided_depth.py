@@ -46,7 +46,7 @@ FEATURE_SHIFT = -0.125
 LOG_SCALES = (-6.0, 2.0)
 """Bounds of the log of the Laplace scale."""
 
-WITHIN = 1.1**0.5 - 1.0
+CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0
 """Relative error of √(inverse depth) where depth is 10 % off."""
 
 GEOMETRY_CHANNEL_COUNT = 7
@@ -108,7 +108,7 @@ class GuidedDepthPrediction(DepthAnswer):
 
     def confidence(self) -> Float[Tensor, "batch 1 height width"]:
         """Probability that depth is within 10 %, by the Laplace distribution."""
-        return 1.0 - torch.exp(-WITHIN * self.estimate.clamp(min=0.0) * torch.exp(-self.log_scale))
+        return 1.0 - torch.exp(-CONFIDENCE_TOLERANCE * self.estimate.clamp(min=0.0) * torch.exp(-self.log_scale))
 
 
 class NormalisedConv(nn.Module):

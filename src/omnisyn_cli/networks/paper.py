@@ -41,7 +41,7 @@ FEATURE_STRIDE = 4
 MAX_INVERSE_DEPTH = 4.0
 """Largest inverse depth × baseline that is predicted: a quarter of the baseline away."""
 
-AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
+UNIT_STEP_POSE = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
 """Second from first camera in the forward frame, in baselines: what the first sees straight ahead comes nearer."""
 
 HALF_CONFIDENCE_DIFFERENCE = 0.1
@@ -133,7 +133,7 @@ def sphere_inverse_depths(config: PaperConfig) -> Float[np.ndarray, " levels"]:
 
 
 def sweep_grid(
-    inverse_depths: Float[np.ndarray, " levels"], size: tuple[int, int], second_from_first: Pose = AHEAD
+    inverse_depths: Float[np.ndarray, " levels"], size: tuple[int, int], second_from_first: Pose = UNIT_STEP_POSE
 ) -> Float[np.ndarray, "levels height width 2"]:
     """Where the second camera sees the points of each sphere, for ``grid_sample`` with aligned corners, float32.
 

@@ -34,8 +34,8 @@ from omnisyn_cli.render.quad_kernels import (
     CUT,
     EDGE_ON_DETERMINANT,
     IN_FLOAT32,
-    NOT_DRAWN,
     PRECISION,
+    SKIPPED_QUAD,
     split_exactly,
 )
 from omnisyn_cli.render.simd import LANES, broadcast, load, load_halves, pair, store, store_halves, where
@@ -378,7 +378,7 @@ def draw_quads(block, quads, number, target, face, begin, end):
     """
     width = target.width
     for k in range(BLOCK):
-        if block[PRECISION, k] == NOT_DRAWN:
+        if block[PRECISION, k] == SKIPPED_QUAD:
             continue
         first_col, last_col = np.int64(block[FIRST_COL, k]), np.int64(block[LAST_COL, k])
         if last_col - first_col >= width - 1:

@@ -20,12 +20,12 @@ from omnisyn_cli.render.box_kernels import (
     tighten_wide_box,
 )
 from omnisyn_cli.render.draw_kernels import Box, exact_corners, exact_setup, intersect_exactly, intersect_rays
-from omnisyn_cli.render.quad_blocks import BLOCK, REMOVED
-from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, IN_FLOAT32, NOT_DRAWN, PRECISION, set_up_quads
+from omnisyn_cli.render.quad_blocks import BLOCK, HOLE_FLAG
+from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, IN_FLOAT32, PRECISION, SKIPPED_QUAD, set_up_quads
 from omnisyn_cli.render.simd import LANES, broadcast, load_halves, pair, store_halves, where
 from omnisyn_cli.types import EDGE_TILE_COLUMNS
 
-HALF = LANES // 2
+HALF_LANES = LANES // 2
 """Samples of a row that are tested together, with those below them."""
 
 
@@ -85,7 +85,7 @@ def _find_quads(block, quads, target, edge_pixels, found):
     width, top, count = target.width, 2 * edge_pixels.top, 0
     bottom = 2 * (edge_pixels.top + len(edge_pixels.tile_begins))
     for k in range(BLOCK):
-        if quads.codes[k] & REMOVED or block[LAST_ROW, k] < top or block[FIRST_ROW, k] >= bottom:
+        if quads.codes[k] & HOLE_FLAG or block[LAST_ROW, k] < top or block[FIRST_ROW, k] >= bottom:
             continue
         if block[LAST_COL, k] - block[FIRST_COL, k] >= width - 1:
             gap = quads.gaps[k] if len(quads.gaps) > 0 else np.float32(0.0)
@@ -131,7 +131,7 @@ def _draw_found(block, quads, found, target, edge_pixels, out):
         box = Box(first_row, last_row, first_col, last_col)
         if block[PRECISION, k] == IN_FLOAT32:
             _draw_in_float32(block, k, box, target, edge_pixels, out)
-        elif block[PRECISION, k] != NOT_DRAWN:
+        elif block[PRECISION, k] != SKIPPED_QUAD:
             gap = np.float64(quads.gaps[k]) if len(quads.gaps) > 0 else 0.0
             setup = exact_setup(exact_corners(block, quads.corners, quads.codes[k], k), gap)
             _draw_in_float64(setup, box, target, edge_pixels, out)
@@ -154,7 +154,7 @@ def _draw_in_float32(block, k, box, target, edge_pixels, out):
     for row in range(box.first_row // 2, box.last_row // 2 + 1):
         begin, end = _range_of(edge_pixels, row, box)
         sp, y = pair(rows[0, 2 * row], rows[0, 2 * row + 1]), pair(rows[1, 2 * row], rows[1, 2 * row + 1])
-        for at in range(2 * begin // HALF * HALF, 2 * end, HALF):
+        for at in range(2 * begin // HALF_LANES * HALF_LANES, 2 * end, HALF_LANES):
             below = count + at
             x, z = sp * load_halves(edge_pixels.sin_a, at, at), zero - sp * load_halves(edge_pixels.cos_a, at, at)
             old = load_halves(out, at, below)

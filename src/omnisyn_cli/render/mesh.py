@@ -33,10 +33,10 @@ from omnisyn_cli.render.quad_blocks import (
     CUT_EDGES,
     DIAGONAL,
     FACES_PER_QUAD,
+    HOLE_FLAG,
     LEFT,
     QUARTER_DIRECTIONS,
     QUARTER_INVERSE_DEPTHS,
-    REMOVED,
     RIGHT,
     TOP,
     QuadBlocks,
@@ -96,12 +96,12 @@ class Mesh:
     @property
     def is_whole(self) -> Bool[np.ndarray, "height-1 width"]:
         """Quads that are drawn without cuts."""
-        return np.asarray((self.quads & (CUT_EDGES | REMOVED)) == 0)
+        return np.asarray((self.quads & (CUT_EDGES | HOLE_FLAG)) == 0)
 
     @cached_property
     def cut_quads(self) -> Integer[np.ndarray, " cuts"]:
         """Flat indices of the drawn quads with at least one cut edge, ascending."""
-        return np.flatnonzero(((self.quads & CUT_EDGES) != 0) & ((self.quads & REMOVED) == 0))
+        return np.flatnonzero(((self.quads & CUT_EDGES) != 0) & ((self.quads & HOLE_FLAG) == 0))
 
     def face_count(self) -> int:
         """How many faces are drawn, without making them."""
@@ -179,11 +179,11 @@ class Mesh:
         begin = ((width + 1) * np.arange(height - 1)[:, None] + BLOCK * np.arange(across)).reshape(-1, 1)
         blocks.corners[: len(begin)] = begin + np.array([0, 1, width + 1, width + 2])
         codes = blocks.codes[: len(begin)].reshape(height - 1, -1)
-        codes[:, :width] = np.where(self.is_whole, self.quads & DIAGONAL, REMOVED)
+        codes[:, :width] = np.where(self.is_whole, self.quads & DIAGONAL, HOLE_FLAG)
         first = 0
         for points in self.pieces():
             is_drawn = (points[..., 3] >= 0).all(axis=-1)
-            write_quads(blocks, len(begin), first, points, np.where(is_drawn, np.uint8(0), np.uint8(REMOVED)))
+            write_quads(blocks, len(begin), first, points, np.where(is_drawn, np.uint8(0), np.uint8(HOLE_FLAG)))
             first += len(points)
         return blocks
 
@@ -309,7 +309,7 @@ def build_mesh(
     falling, rising = np.abs(rho[:-1] - right[1:]), np.abs(rho[1:] - right[:-1])
     quads |= _flag(DIAGONAL, rising < falling)
     if mask is not None:
-        quads |= _flag(REMOVED, ~_any_corner(mask))
+        quads |= _flag(HOLE_FLAG, ~_any_corner(mask))
         rho = np.where(mask, rho, np.float32(MASKED_INVERSE_DEPTH))
     return Mesh(rho, quads, quarter_confidence(rho, (quads & CUT_EDGES) != 0, confidence))
 

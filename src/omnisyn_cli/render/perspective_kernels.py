@@ -25,7 +25,7 @@ from omnisyn_cli.render.box_kernels import (
 )
 from omnisyn_cli.render.draw_kernels import Box, draw_box, draw_exactly, draw_narrow_box, exact_corners
 from omnisyn_cli.render.quad_blocks import BLOCK
-from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, IN_FLOAT32, NOT_DRAWN, PRECISION, set_up_quads
+from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, IN_FLOAT32, PRECISION, SKIPPED_QUAD, set_up_quads
 from omnisyn_cli.render.raster_kernels import NO_FACE
 from omnisyn_cli.render.simd import LANES
 
@@ -131,7 +131,7 @@ def _draw_quads(block, quads, number, target, face, begin, end):
     for k in range(BLOCK):
         first_row, last_row = max(np.int64(block[FIRST_ROW, k]), begin), min(np.int64(block[LAST_ROW, k]), end - 1)
         first_col, last_col = np.int64(block[FIRST_COL, k]), np.int64(block[LAST_COL, k])
-        if block[PRECISION, k] == NOT_DRAWN or first_row > last_row or first_col > last_col:
+        if block[PRECISION, k] == SKIPPED_QUAD or first_row > last_row or first_col > last_col:
             continue
         box = Box(first_row, last_row, first_col, last_col)
         if block[PRECISION, k] == IN_FLOAT32 and target.width >= LANES:

@@ -25,7 +25,7 @@ CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
 """Flags of a quad: which of its edges are cut."""
 DIAGONAL = 16
 """Flag of a quad that is split from bottom left to top right; without it, from top left to bottom right."""
-REMOVED = 32
+HOLE_FLAG = 32
 """Flag of a quad that is not drawn."""
 FACES_PER_QUAD = 8
 FACES_PER_QUARTER = 2
@@ -33,13 +33,13 @@ FACES_PER_QUARTER = 2
 BLOCK = 64
 """Quads that are set up together, and culled together by their range of target pixels. Set by hand."""
 
-_CLOCKWISE = (0, 1, 3, 2)
+_CLOCKWISE_CORNERS = (0, 1, 3, 2)
 """The corners of a quad; the edge after the k-th of them is bit k of its flags."""
 
 
 def _mean_of(*places: int) -> np.ndarray:
     """Weights of the four corners in the mean of those at some places, counted clockwise."""
-    return np.bincount([_CLOCKWISE[place % 4] for place in places], minlength=4) / len(places)
+    return np.bincount([_CLOCKWISE_CORNERS[place % 4] for place in places], minlength=4) / len(places)
 
 
 def _whole_edges(code: int, place: int, step: int) -> int:
@@ -50,7 +50,7 @@ def _whole_edges(code: int, place: int, step: int) -> int:
 
 def _quarter_weights() -> tuple[np.ndarray, np.ndarray]:
     directions, inverse_depths = np.empty((4, 4, 4)), np.empty((CUT_EDGES + 1, 4, 4, 4))
-    for place, corner in enumerate(_CLOCKWISE):
+    for place, corner in enumerate(_CLOCKWISE_CORNERS):
         directions[corner] = (
             _mean_of(place),
             _mean_of(place, place + 1),
@@ -84,7 +84,7 @@ class QuadBlocks(NamedTuple):
         corners: of each block, where in ``points`` the runs of first, second, third and fourth corners begin. Where
             the second run begins one after the first, and the fourth after the third, two runs are shared: quads of a
             row of a grid.
-        codes: flags :data:`DIAGONAL` and :data:`REMOVED` of each quad; blocks are padded with removed quads.
+        codes: flags :data:`DIAGONAL` and :data:`HOLE_FLAG` of each quad; blocks are padded with removed quads.
         gaps: radians times distance by which the edges of each quad reach outwards; empty if none does.
     """
 
@@ -116,7 +116,7 @@ def empty_blocks(count: int, shared_points: int = 0, shared_blocks: int = 0) -> 
     blocks = -(-count // BLOCK)
     corners = np.empty((shared_blocks + blocks, 4), np.int64)
     corners[shared_blocks:] = shared_points + BLOCK * np.arange(4 * blocks).reshape(blocks, 4)
-    codes = np.full((len(corners), BLOCK), REMOVED, np.uint8)
+    codes = np.full((len(corners), BLOCK), HOLE_FLAG, np.uint8)
     return QuadBlocks(np.zeros((4, shared_points + 4 * BLOCK * blocks), np.float32), corners, codes, NO_GAPS)
 
 

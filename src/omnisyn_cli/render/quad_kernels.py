@@ -21,7 +21,7 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import inlined, subkernel
 from omnisyn_cli.render.box_kernels import FIRST_FREE_ROW, INVERSE_DEPTH, X, Y, Z
-from omnisyn_cli.render.quad_blocks import DIAGONAL, REMOVED
+from omnisyn_cli.render.quad_blocks import DIAGONAL, HOLE_FLAG
 from omnisyn_cli.render.simd import (
     LANES,
     broadcast,
@@ -59,7 +59,7 @@ CUT, A_LEFT, A_OTHER, B_RIGHT, B_OTHER, A_PLANE, B_PLANE, PRECISION = (
 BLOCK_ROWS = int(PRECISION) + 1
 """All rows of a block."""
 
-NOT_DRAWN, IN_FLOAT32, IN_FLOAT64 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+SKIPPED_QUAD, IN_FLOAT32, IN_FLOAT64 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 """Values of :data:`PRECISION`."""
 
 
@@ -197,5 +197,5 @@ def set_up_quads(block, quads, begin, end):
         _store(block, A_PLANE, k, plane_a)
         _store(block, B_PLANE, k, plane_b)
         gentle = (limit >= _square(plane_a) * farthest) & (limit >= _square(plane_b) * farthest)
-        how = where(has_a | has_b, where(gentle, broadcast(IN_FLOAT32), broadcast(IN_FLOAT64)), broadcast(NOT_DRAWN))
-        store(block[PRECISION], k, where(has_bits(codes, k, np.uint8(REMOVED)), broadcast(NOT_DRAWN), how))
+        how = where(has_a | has_b, where(gentle, broadcast(IN_FLOAT32), broadcast(IN_FLOAT64)), broadcast(SKIPPED_QUAD))
+        store(block[PRECISION], k, where(has_bits(codes, k, np.uint8(HOLE_FLAG)), broadcast(SKIPPED_QUAD), how))

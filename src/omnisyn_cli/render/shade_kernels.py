@@ -12,7 +12,7 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.render.simd import (
-    FIXED_ONE,
+    FIXED_POINT_UNIT,
     FIXED_TEXEL,
     broadcast_weight,
     load_four_weights,
@@ -255,8 +255,8 @@ def _scales(cubic, unit):
         return unit, zero, unit, zero
     # Mip levels: 8 texels lose half a unit each. Bicubic: 4 rows lose half a unit each, which the second product halves
     # (FIXED_ONE is half of 65536), and 4 columns lose half a unit each.
-    once = unit * np.float32(65536.0 / FIXED_ONE / FIXED_TEXEL)
-    twice = once * np.float32(65536.0 / FIXED_ONE)
+    once = unit * np.float32(65536.0 / FIXED_POINT_UNIT / FIXED_TEXEL)
+    twice = once * np.float32(65536.0 / FIXED_POINT_UNIT)
     return once, np.float32(8 * 0.5) * once, twice, np.float32(4 * (0.5 + 0.25)) * twice
 
 

@@ -28,9 +28,9 @@ from numba.extending import intrinsic, lower_builtin, register_model
 LANES = 8
 """Numbers in a vector."""
 
-_HALF = LANES // 2
+_HALF_LANES = LANES // 2
 
-FIXED_ONE, FIXED_TEXEL = 32767, 1 << 7
+FIXED_POINT_UNIT, FIXED_TEXEL = 32767, 1 << 7
 """Fixed point: the weight 1, and the factor of texels of 8 bits."""
 
 
@@ -143,7 +143,7 @@ def pair(typing_context: Any, first: Any, second: Any) -> Any:
     """One float32 in the lower four places, another in the upper four."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        lower, upper = (_broadcast(builder, argument, _HALF) for argument in arguments)
+        lower, upper = (_broadcast(builder, argument, _HALF_LANES) for argument in arguments)
         return builder.shuffle_vector(lower, upper, _shuffle_mask(range(LANES)))
 
     return _float32x8(types.float32, types.float32), generate
@@ -196,7 +196,7 @@ def load_halves(typing_context: Any, array: Any, lower: Any, upper: Any) -> Any:
     """Four numbers from index ``lower`` on and four from ``upper`` on."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        halves = [_load(context, builder, array, arguments[0], index, _HALF) for index in arguments[1:]]
+        halves = [_load(context, builder, array, arguments[0], index, _HALF_LANES) for index in arguments[1:]]
         return builder.shuffle_vector(*halves, _shuffle_mask(range(LANES)))
 
     return _VECTOR_OF[array.dtype](array, types.intp, types.intp), generate
@@ -209,9 +209,9 @@ def store_halves(typing_context: Any, array: Any, lower: Any, upper: Any, vector
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         for half, index in enumerate(arguments[1:3]):
             numbers = builder.shuffle_vector(
-                arguments[3], arguments[3], _shuffle_mask(range(_HALF * half, _HALF * (half + 1)))
+                arguments[3], arguments[3], _shuffle_mask(range(_HALF_LANES * half, _HALF_LANES * (half + 1)))
             )
-            _store_whole(builder, numbers, _address(context, builder, array, arguments[0], index, _HALF))
+            _store_whole(builder, numbers, _address(context, builder, array, arguments[0], index, _HALF_LANES))
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, vector), generate
@@ -287,17 +287,17 @@ def store_texel_sum(typing_context: Any, array: Any, index: Any, texels: Any, sc
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         out, place, total, scale, shift, last = arguments
         add = builder.add if texels == _int16x16 else builder.fadd
-        for count in (LANES, _HALF):
+        for count in (LANES, _HALF_LANES):
             lower, upper = (_shuffle_mask(range(begin, begin + count)) for begin in (0, count))
             total = add(builder.shuffle_vector(total, total, lower), builder.shuffle_vector(total, total, upper))
         if texels == _int16x16:
-            total = builder.sitofp(total, ir.VectorType(ir.FloatType(), _HALF))
-        scales, shifts = _broadcast(builder, scale, _HALF), _broadcast(builder, shift, _HALF)
+            total = builder.sitofp(total, ir.VectorType(ir.FloatType(), _HALF_LANES))
+        scales, shifts = _broadcast(builder, scale, _HALF_LANES), _broadcast(builder, shift, _HALF_LANES)
         alpha = cgutils.int32_t(3)
         scales = builder.insert_element(scales, builder.fmul(scale, last), alpha)
         shifts = builder.insert_element(shifts, ir.Constant(ir.FloatType(), 0.0), alpha)
         total = builder.fadd(builder.fmul(total, scales, flags=_contract), shifts, flags=_contract)
-        builder.store(total, _address(context, builder, array, out, place, _HALF), align=4)
+        builder.store(total, _address(context, builder, array, out, place, _HALF_LANES), align=4)
         return context.get_dummy_value()
 
     number = types.float32

@@ -15,9 +15,9 @@ from jaxtyping import Float, Integer
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quad_blocks import CUT_EDGES, DIAGONAL, REMOVED, QuadBlocks, pack_quads
+from omnisyn_cli.render.quad_blocks import CUT_EDGES, DIAGONAL, HOLE_FLAG, QuadBlocks, pack_quads
 from omnisyn_cli.render.simplify_kernels import (
-    COVERED,
+    COVERED_CODE,
     CUT_APART,
     HEIGHT_CODE,
     FlatnessTest,
@@ -71,7 +71,7 @@ def simplify(
     marks = _merge(mesh, bounds, angle, tables, threads)
     parts = [_rectangles(mesh, marks, tables, float(np.linalg.norm(path)), threads), *_pieces(mesh, marks)]
     points, codes, gaps, orders = (np.concatenate(group) for group in zip(*parts, strict=True))
-    drawn = (codes & REMOVED) == 0
+    drawn = (codes & HOLE_FLAG) == 0
     order = np.flatnonzero(drawn)[np.argsort(orders[drawn], kind="stable")]
     is_cap = orders[order] == CAP_ORDER
     return pack_quads(points[order], codes[order], gaps[order]), int(2 * len(order) - is_cap.sum())
@@ -96,7 +96,7 @@ def flat_rectangles(
     marks = _merge(mesh, np.where(rho < 0, -1, share * rho).astype(np.float32), angle,
                     direction_tables(*mesh.size), threads)  # fmt: skip
     row, col, height, width = _rectangle_list(marks)
-    pieces = [points[(codes & REMOVED) == 0] for points, codes, _, _ in _pieces(mesh, marks)]
+    pieces = [points[(codes & HOLE_FLAG) == 0] for points, codes, _, _ in _pieces(mesh, marks)]
     return np.stack([row, col, height, width], -1), np.concatenate(pieces)
 
 
@@ -112,7 +112,7 @@ def _merge(
 ) -> np.ndarray:
     """Marks of rectangles (:data:`HEIGHT_CODE`) whose inverse depths err by no more than ``bounds``."""
     rho = mesh.inverse_depth
-    marks = np.where(mesh.quads & REMOVED, np.uint8(COVERED), np.uint8(0))
+    marks = np.where(mesh.quads & HOLE_FLAG, np.uint8(COVERED_CODE), np.uint8(0))
     run_ranges(lambda begin, end: mark_cuts(marks, mesh.quads, rho, bounds, begin, end), len(marks), threads)
     most = min(MAX_SIDE_LOG2, max(0, (mesh.size[1] // 8).bit_length() - 1))
     run_ranges(
@@ -132,7 +132,7 @@ def _draw_order(row: np.ndarray, col: np.ndarray, columns: int) -> np.ndarray:
 
 def _rectangle_list(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """First row and column, height and width of all rectangles."""
-    row, col = np.nonzero((marks != COVERED) & (marks != CUT_APART))
+    row, col = np.nonzero((marks != COVERED_CODE) & (marks != CUT_APART))
     mark = marks[row, col].astype(np.int64)
     return row, col, 1 << mark // HEIGHT_CODE, 1 << mark % HEIGHT_CODE
 
@@ -176,5 +176,5 @@ def _pieces(mesh: Mesh, marks: np.ndarray) -> list[Part]:
 def _part(points: np.ndarray, order: np.ndarray) -> Part:
     """Groups ``(orders, quads, 4 corners, 4)`` of quads; a quad with a point without a surface is removed."""
     orders, points = np.repeat(order, points.shape[1]), points.reshape(-1, 4, 4)
-    codes = np.where((points[..., 3] < 0).any(axis=-1), np.uint8(REMOVED), np.uint8(0))
+    codes = np.where((points[..., 3] < 0).any(axis=-1), np.uint8(HOLE_FLAG), np.uint8(0))
     return points, codes, np.zeros(len(points)), orders

@@ -13,7 +13,7 @@ import numpy as np
 from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.render.quad_blocks import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
 
-COVERED = 255
+COVERED_CODE = 255
 """Mark of quads in a rectangle that begins elsewhere, and of those that are not drawn."""
 
 CUT_APART = 254
@@ -67,7 +67,7 @@ def mark_cuts(marks, quads, rho, bounds, begin, end):
     for row in range(begin, end):
         for col in range(columns):
             code, right = quads[row, col], (col + 1) % columns
-            if marks[row, col] == COVERED or code & CUT_EDGES == 0:
+            if marks[row, col] == COVERED_CODE or code & CUT_EDGES == 0:
                 continue
             if (
                 (code & TOP and _is_discontinuity(rho, bounds, row, col, row, right))
@@ -178,7 +178,7 @@ def _merge_pairs(marks, test, tall, wide, down, begin, end):
             if marks[row, col] != single or marks[row + down_by, col + across_by] != single:
                 continue
             if _is_flat(test, row, col, height, width):
-                marks[row, col], marks[row + down_by, col + across_by] = joined, COVERED
+                marks[row, col], marks[row + down_by, col + across_by] = joined, COVERED_CODE
 
 
 @kernel()

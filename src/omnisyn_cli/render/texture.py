@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_scale
-from omnisyn_cli.render.simd import FIXED_ONE
+from omnisyn_cli.render.simd import FIXED_POINT_UNIT
 
 __all__ = ["Texture", "make_texture"]
 
@@ -90,7 +90,7 @@ def cubic_weights(dtype: str) -> tuple[Shaped[np.ndarray, " numbers"], Shaped[np
     )
     if dtype != "uint8":
         return weights.astype(np.float32).ravel(), weights.astype(np.float32).ravel()
-    fixed = np.rint(FIXED_ONE * weights).astype(np.int16).ravel()
+    fixed = np.rint(FIXED_POINT_UNIT * weights).astype(np.int16).ravel()
     return np.repeat(fixed, 2).view(np.int32), fixed
 
 

@@ -114,8 +114,8 @@ def intersect_shape(shape, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-d
     return _intersect_cone(ox, oy, oz, dx, dy, dz)
 
 
-EYE, NEAR, HALF = int(ShapeColumn.EYE), int(ShapeColumn.NEAR), int(ShapeColumn.HALF)
-SHAPE, SIDES, CAPS, VARIATION, PERFORATED = map(int, AttributeColumn)
+EYE, NEAR_COLUMN, HALF_COLUMN = int(ShapeColumn.EYE), int(ShapeColumn.NEAR), int(ShapeColumn.HALF)
+SHAPE, SIDES, CAPS, VARIATION, PERFORATION_COLUMN = map(int, AttributeColumn)
 PLANE, WORLD_EYE = int(Scalar.GROUND_PLANE), int(Scalar.EYE)
 GRID_AXES, GRID_FRAME = int(Scalar.LIGHT_GRID_AXES), int(Scalar.LIGHT_GRID_FRAME)
 
@@ -123,7 +123,7 @@ GRID_AXES, GRID_FRAME = int(Scalar.LIGHT_GRID_AXES), int(Scalar.LIGHT_GRID_FRAME
 @kernel
 def texture_coordinates(shapes, k, shape, x, y, z):  # type: ignore[no-untyped-def]
     """Where a point of a unit shape lies on its face: ``(u, v, hu, hv, axis)`` in metres; axis 1: faces up or down."""
-    hx, hy, hz = shapes[k, HALF], shapes[k, HALF + 1], shapes[k, HALF + 2]
+    hx, hy, hz = shapes[k, HALF_COLUMN], shapes[k, HALF_COLUMN + 1], shapes[k, HALF_COLUMN + 2]
     if shape == 0:
         ax, ay, az = abs(x), abs(y), abs(z)
         if ay >= ax and ay >= az:
@@ -164,7 +164,11 @@ def _is_hole_at(world, k, x, y, z):  # type: ignore[no-untyped-def]
     shape = world.attributes[k, SHAPE]
     u, v, hu, hv, axis = texture_coordinates(world.shapes, k, shape, x, y, z)
     material = world.materials[world.attributes[k, CAPS if axis == 1 else SIDES]]
-    x, y, z = x * world.shapes[k, HALF], y * world.shapes[k, HALF + 1], z * world.shapes[k, HALF + 2]
+    x, y, z = (
+        x * world.shapes[k, HALF_COLUMN],
+        y * world.shapes[k, HALF_COLUMN + 1],
+        z * world.shapes[k, HALF_COLUMN + 2],
+    )
     return is_hole(material, world.noise, FacePoint(u, v, hu, hv, x, y, z, world.attributes[k, VARIATION]))
 
 
@@ -198,7 +202,7 @@ def first_hit(world, candidates, count, x, y, z):  # type: ignore[no-untyped-def
             best, hit = -height / slant, GROUND_ID
     for i in range(count):
         k = candidates[i]
-        if shapes[k, NEAR] > best:
+        if shapes[k, NEAR_COLUMN] > best:
             break  # candidates are sorted by NEAR: none of the rest can be nearer
         dx = shapes[k, 0] * x + shapes[k, 1] * y + shapes[k, 2] * z
         dy = shapes[k, 3] * x + shapes[k, 4] * y + shapes[k, 5] * z
@@ -206,7 +210,7 @@ def first_hit(world, candidates, count, x, y, z):  # type: ignore[no-untyped-def
         ox, oy, oz = shapes[k, EYE], shapes[k, EYE + 1], shapes[k, EYE + 2]
         t = intersect_shape(world.attributes[k, SHAPE], ox, oy, oz, dx, dy, dz)
         if t < best:
-            if world.attributes[k, PERFORATED]:
+            if world.attributes[k, PERFORATION_COLUMN]:
                 t = _first_solid_hit(world, k, (ox, oy, oz), (dx, dy, dz), t)
                 if t >= best:
                     continue
@@ -237,7 +241,7 @@ def is_shadowed(world, px, py, pz, x, y, z):  # type: ignore[no-untyped-def]
         dy = shapes[k, 3] * x + shapes[k, 4] * y + shapes[k, 5] * z
         dz = shapes[k, 6] * x + shapes[k, 7] * y + shapes[k, 8] * z
         t = intersect_shape(world.attributes[k, SHAPE], ox, oy, oz, dx, dy, dz)
-        if t < MISS_DISTANCE and world.attributes[k, PERFORATED]:
+        if t < MISS_DISTANCE and world.attributes[k, PERFORATION_COLUMN]:
             t = _first_solid_hit(world, k, (ox, oy, oz), (dx, dy, dz), t)
         if t < MISS_DISTANCE:
             return True

@@ -10,7 +10,7 @@ from omnisyn_cli.scenes.photos import PhotoMapping
 from omnisyn_cli.scenes.textures import FacePoint, pattern_at
 from omnisyn_cli.scenes.world import GROUND_ID, SKY_ID, AttributeColumn, Scalar, ShapeColumn
 
-UNDER, FITTED = float(PhotoMapping.UNDER), float(PhotoMapping.FITTED)
+UNDER_MAPPING, FITTED_MAPPING = float(PhotoMapping.UNDER), float(PhotoMapping.FITTED)
 
 PATCHES_PER_PHOTO = 0.6
 """Patches of the ground whose texture is turned, per width of a photograph; chosen by eye."""
@@ -64,7 +64,7 @@ def photo_at(photos, row, noise, point, footprint):  # type: ignore[no-untyped-d
     texels, levels, seed = photos.texels, photos.levels[int(photo)], int(seed)
     rows, columns = levels[0, 1], levels[0, 2]
     u, v = point.u, point.v
-    if mapping == FITTED:
+    if mapping == FITTED_MAPPING:
         texel = max(2.0 * point.half_u / columns, 2.0 * point.half_v / rows)
         x, y = 0.5 + u / (texel * columns), 0.5 - (v - point.half_v) / (texel * rows)
     else:
@@ -82,10 +82,15 @@ def photo_at(photos, row, noise, point, footprint):  # type: ignore[no-untyped-d
     return r, g, b
 
 
-PATTERN, FIRST, SECOND, THIRD, _, _, _, _, _, _, GLOSS, GLOW, _, _, _ = map(int, MaterialColumn)
-EYE, HALF, TINT = int(ShapeColumn.EYE), int(ShapeColumn.HALF), int(ShapeColumn.TINT)
+PATTERN, FIRST_COLOUR, SECOND_COLOUR, THIRD_COLOUR, _, _, _, _, _, _, GLOSS, GLOW, _, _, _ = map(int, MaterialColumn)
+EYE, HALF_COLUMN, TINT = int(ShapeColumn.EYE), int(ShapeColumn.HALF), int(ShapeColumn.TINT)
 SHAPE, SIDES, CAPS, VARIATION, _ = map(int, AttributeColumn)
-SUN, ABOVE, BELOW, ZENITH = int(Scalar.SUN), int(Scalar.SKY_LIGHT), int(Scalar.BOUNCE), int(Scalar.ZENITH)
+SUN, SKY_LIGHT_COLUMN, BOUNCE_COLUMN, ZENITH = (
+    int(Scalar.SUN),
+    int(Scalar.SKY_LIGHT),
+    int(Scalar.BOUNCE),
+    int(Scalar.ZENITH),
+)
 HORIZON, CLOUD, CLOUD_COVER = int(Scalar.HORIZON), int(Scalar.CLOUD), int(Scalar.CLOUD_COVER)
 CLOUD_SCALE, CLOUD_SEED, HAZE = int(Scalar.CLOUD_SCALE), int(Scalar.CLOUD_SEED), int(Scalar.HAZE)
 SUN_DIRECTIONS, PLANE = int(Scalar.SUN_DIRECTIONS), int(Scalar.GROUND_PLANE)
@@ -128,9 +133,9 @@ def _incident(world, px, py, pz, nx, ny, nz, sun):  # type: ignore[no-untyped-de
     """Light that falls on a point, and how much of the sun, whose direction is at ``sun`` in the scalars, it sees."""
     s = world.scalars
     above = 0.5 + 0.5 * ny
-    r = s[ABOVE] * above + s[BELOW] * (1.0 - above)
-    g = s[ABOVE + 1] * above + s[BELOW + 1] * (1.0 - above)
-    b = s[ABOVE + 2] * above + s[BELOW + 2] * (1.0 - above)
+    r = s[SKY_LIGHT_COLUMN] * above + s[BOUNCE_COLUMN] * (1.0 - above)
+    g = s[SKY_LIGHT_COLUMN + 1] * above + s[BOUNCE_COLUMN + 1] * (1.0 - above)
+    b = s[SKY_LIGHT_COLUMN + 2] * above + s[BOUNCE_COLUMN + 2] * (1.0 - above)
     x, y, z = s[sun], s[sun + 1], s[sun + 2]
     facing = nx * x + ny * y + nz * z
     sunlit = 0.0
@@ -178,7 +183,7 @@ def shade(world, photos, hit, t, direction, pixel, sample):  # type: ignore[no-u
         qz = shapes[hit, EYE + 2] + t * (shapes[hit, 6] * x + shapes[hit, 7] * y + shapes[hit, 8] * z)
         u, v, hu, hv, axis = texture_coordinates(shapes, hit, shape, qx, qy, qz)
         nx, ny, nz = surface_normal(shapes, hit, shape, axis, qx, qy, qz)
-        qx, qy, qz = qx * shapes[hit, HALF], qy * shapes[hit, HALF + 1], qz * shapes[hit, HALF + 2]
+        qx, qy, qz = qx * shapes[hit, HALF_COLUMN], qy * shapes[hit, HALF_COLUMN + 1], qz * shapes[hit, HALF_COLUMN + 2]
         variation = attributes[hit, VARIATION]
         tr, tg, tb = shapes[hit, TINT], shapes[hit, TINT + 1], shapes[hit, TINT + 2]
         row = attributes[hit, CAPS if axis == 1 else SIDES]
@@ -191,19 +196,19 @@ def shade(world, photos, hit, t, direction, pixel, sample):  # type: ignore[no-u
     footprint = t * pixel / math.sqrt(max(facing, 0.01))  # mean of both sides of the slanted sample
     point = FacePoint(u, v, hu, hv, qx, qy, qz, variation)
     second, third, lightness, gloss, glow = pattern_at(material, world.noise, point, footprint)
-    cr, cg, cb = material[FIRST], material[FIRST + 1], material[FIRST + 2]
+    cr, cg, cb = material[FIRST_COLOUR], material[FIRST_COLOUR + 1], material[FIRST_COLOUR + 2]
     if row < len(photos.assignment) and photos.assignment[row, 0] >= 0.0:
         mapping, blurred = photos.assignment[row, 1], t * pixel / max(facing, 0.03) ** SLANT_EXPONENT
         cr, cg, cb = photo_at(photos, row, world.noise, point, blurred)
-        if mapping != UNDER:
-            second, third = 0.0, third if mapping == FITTED else 0.0
+        if mapping != UNDER_MAPPING:
+            second, third = 0.0, third if mapping == FITTED_MAPPING else 0.0
             lightness = lightness if material[PATTERN] == 0.0 else 1.0
     lightness = max(lightness, 0.02)
     first, second = (1.0 - second) * (1.0 - third) * lightness, second * (1.0 - third) * lightness
     third *= lightness
-    ar = (cr * first + material[SECOND] * second + material[THIRD] * third) * tr
-    ag = (cg * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
-    ab = (cb * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb
+    ar = (cr * first + material[SECOND_COLOUR] * second + material[THIRD_COLOUR] * third) * tr
+    ag = (cg * first + material[SECOND_COLOUR + 1] * second + material[THIRD_COLOUR + 1] * third) * tg
+    ab = (cb * first + material[SECOND_COLOUR + 2] * second + material[THIRD_COLOUR + 2] * third) * tb
     r, g, b, sunlit = _incident(world, px, py, pz, nx, ny, nz, sun)
     glow *= material[GLOW]
     r, g, b = ar * (r * crease + glow), ag * (g * crease + glow), ab * (b * crease + glow)
@@ -213,9 +218,15 @@ def shade(world, photos, hit, t, direction, pixel, sample):  # type: ignore[no-u
         weight = gloss * (0.08 + 0.7 * (1.0 - facing) ** 3)  # as Fresnel: hardly any from above, most at grazing angles
         above = min(1.0, max(0.0, 0.5 + 2.0 * ry))
         shine = max(0.0, rx * s[sun] + ry * s[sun + 1] + rz * s[sun + 2]) ** 64 * 0.6 * gloss * sunlit
-        r += weight * (s[BELOW] + (s[ABOVE] * 1.3 - s[BELOW]) * above - r) + shine * s[SUN]
-        g += weight * (s[BELOW + 1] + (s[ABOVE + 1] * 1.3 - s[BELOW + 1]) * above - g) + shine * s[SUN + 1]
-        b += weight * (s[BELOW + 2] + (s[ABOVE + 2] * 1.3 - s[BELOW + 2]) * above - b) + shine * s[SUN + 2]
+        r += weight * (s[BOUNCE_COLUMN] + (s[SKY_LIGHT_COLUMN] * 1.3 - s[BOUNCE_COLUMN]) * above - r) + shine * s[SUN]
+        g += (
+            weight * (s[BOUNCE_COLUMN + 1] + (s[SKY_LIGHT_COLUMN + 1] * 1.3 - s[BOUNCE_COLUMN + 1]) * above - g)
+            + shine * s[SUN + 1]
+        )
+        b += (
+            weight * (s[BOUNCE_COLUMN + 2] + (s[SKY_LIGHT_COLUMN + 2] * 1.3 - s[BOUNCE_COLUMN + 2]) * above - b)
+            + shine * s[SUN + 2]
+        )
     if s[HAZE] > 0.0:
         haze = 1.0 - math.exp(-s[HAZE] * t)
         r += (s[HORIZON] - r) * haze

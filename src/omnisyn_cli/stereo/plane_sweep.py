@@ -75,7 +75,7 @@ MIN_PEAK_RATIO = 2.0
 MIN_PEAK_EXCESS = 0.002
 """Least score of a plane above that median, as a share of the textured sphere that it explains perfectly."""
 
-COARSE_FITS, FINE_FITS = 4, 1
+COARSE_FIT_COUNT, FINE_FIT_COUNT = 4, 1
 """Of a plane to its pixels in the swept images, where a row is 1.4°, and then in the pair."""
 
 SLOPE_WINDOW, MIN_SLOPE_SCORE, MIN_SLOPE_SUPPORT = 9, 0.04, 0.05
@@ -206,7 +206,7 @@ def sweep_planes(pair: RectifiedPair, axes: Float[np.ndarray, "axes 3"]) -> Floa
     coarse = SweepDirection(small), SweepDirection(small.reversed())
     fine = SweepDirection(pair), SweepDirection(pair.reversed())
     found = _greedy_planes(coarse, axes)
-    fitted = [_fit(fine, _fit(coarse, normal, COARSE_FITS), FINE_FITS) for normal in found]
+    fitted = [_fit(fine, _fit(coarse, normal, COARSE_FIT_COUNT), FINE_FIT_COUNT) for normal in found]
     planes = [
         after
         for before, after in zip(found, fitted, strict=True)
@@ -377,7 +377,7 @@ def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
     points = sweep.best_points(0), sweep.best_points(1)
     median = np.median(sweep.totals(0), axis=1)
     for proposal in find_planes(points, up, max_planes=MAX_SWEPT_PLANES, min_support=MIN_SLOPE_SUPPORT):
-        normal = _fit(sweep.directions, proposal, COARSE_FITS)
+        normal = _fit(sweep.directions, proposal, COARSE_FIT_COUNT)
         seen = normal[None], planes_from_second(normal[None])
         totals = [
             float((_scores(direction, each) * direction.weight).sum())

@@ -48,7 +48,7 @@ together with vectorised loops.)"""
 PATH_PADDING = np.uint64(2)
 """Entries of :data:`UNREACHABLE_COST` before and after a path's costs, so that neighbours need no bounds check."""
 
-ONE, TWO = np.uint64(1), np.uint64(2)
+UNSIGNED_ONE, UNSIGNED_TWO = np.uint64(1), np.uint64(2)
 """Typed, because an index without a sign is not tested for counting from the end, so its loop vectorises."""
 
 
@@ -257,19 +257,19 @@ def _extend_path(cost, previous, length, current, shift, p1, p2, cheapest, sums)
     last = max(first, min(count, length + 1 - shift))
     for k in range(np.uint64(first)):
         value = np.uint16(cost[k] + p2)  # a jump costs `cheapest + p2`, less the `cheapest` that is subtracted
-        current[k + TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
+        current[k + UNSIGNED_TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
     for k in range(np.uint64(last), np.uint64(count)):
         value = np.uint16(cost[k] + p2)
-        current[k + TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
+        current[k + UNSIGNED_TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
     begin, source = np.uint64(first), np.uint64(first + shift + 1)
     for k in range(np.uint64(last - first)):
         below, to = source + k, begin + k  # in `previous`, `below` is one row less, `below + ONE` the same disparity
-        step = np.uint16(_smaller(previous[below], previous[below + TWO]) + p1)
-        best = _smaller(_smaller(previous[below + ONE], jump), step)
+        step = np.uint16(_smaller(previous[below], previous[below + UNSIGNED_TWO]) + p1)
+        best = _smaller(_smaller(previous[below + UNSIGNED_ONE], jump), step)
         value = np.uint16(np.uint16(cost[to] + best) - cheapest)
-        current[to + TWO], sums[to], least = value, np.uint16(sums[to] + value), _smaller(least, value)
+        current[to + UNSIGNED_TWO], sums[to], least = value, np.uint16(sums[to] + value), _smaller(least, value)
     end = np.uint64(count) + PATH_PADDING
-    current[end] = current[end + ONE] = UNREACHABLE_COST  # the buffer may hold a longer range from before
+    current[end] = current[end + UNSIGNED_ONE] = UNREACHABLE_COST  # the buffer may hold a longer range from before
     return least
 
 

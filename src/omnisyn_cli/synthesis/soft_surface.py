@@ -35,7 +35,7 @@ SMOOTHING_CELLS, SMOOTHING_WEIGHTS = (4.0, 8.0, 16.0, 40.0), (1.0, 0.1, 0.01, 1e
 """Standard deviations in cells that the surface is smoothed with, and the weights of the results: the wide ones decide
 where nothing near is confirmed. At half of the first, walls of real rooms have waves; at twice, floors sag."""
 
-RELIABLE, UNRELIABLE = 0.9, 0.4
+KEPT_RELIABILITY, REPLACED_RELIABILITY = 0.9, 0.4
 """Reliability from which on depth stays as it is, and up to which the common surface takes its place. Chosen by eye on
 two real restaurants and a generated home: at 0.6 and 0.25 pieces remain, at 1.3 and 0.7 whole floors are lost."""
 
@@ -166,7 +166,9 @@ def _inverse_depth_of(surface: np.ndarray, view: View, middle: np.ndarray) -> Fl
 def _softened(depth: DepthEstimate, reliability: np.ndarray, soft: np.ndarray) -> DepthEstimate:
     """Depth where it is reliable, and a soft surface elsewhere, mixed in the square root of inverse depth."""
     height, width = depth.inverse_depth.shape
-    x = np.clip((RELIABLE - _blurred(reliability, width / 80.0)) / (RELIABLE - UNRELIABLE), 0.0, 1.0)
+    x = np.clip(
+        (KEPT_RELIABILITY - _blurred(reliability, width / 80.0)) / (KEPT_RELIABILITY - REPLACED_RELIABILITY), 0.0, 1.0
+    )
     share = _blurred(x * x * (3.0 - 2.0 * x), width / 160.0)
     soft_sqrt_rho = np.sqrt(resized_to(soft, (height, width), cv2.INTER_LINEAR))
     sqrt_rho = (1.0 - share) * np.sqrt(np.maximum(depth.inverse_depth, 0.0)) + share * soft_sqrt_rho

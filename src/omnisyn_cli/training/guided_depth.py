@@ -25,16 +25,16 @@ from omnisyn_cli.training.walks import Walk, load_walk
 
 __all__ = ["GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
 
-WIDEST = 2.5
+MAX_BASELINE_RATIO = 2.5
 """Baselines over median depth above this are not drawn."""
 
-SHORTEST = 0.03
+MIN_BASELINE_RATIO = 0.03
 """Baselines over median depth below this are not drawn where there are others."""
 
-TILTED, TILT = 0.35, 0.03
+TILT_SHARE, TILT = 0.35, 0.03
 """Share of the pairs whose cameras are held askew, and the standard deviation of pitch and roll, radians."""
 
-MISPLACED, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
+POSE_ERROR_SHARE, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
 """Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians."""
 
 COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
@@ -180,7 +180,7 @@ def _choose(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
         for second in range(len(median))
         if first != second
     ]
-    usual = [pair for pair in found if SHORTEST <= pair[2] <= WIDEST] or found
+    usual = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found
     bins = {name: [pair for pair in usual if baseline_bin(pair[2]) == name] for name in BASELINE_BINS}
     filled = [pairs for pairs in bins.values() if pairs]
     pairs = filled[rng.integers(len(filled))]
@@ -204,7 +204,7 @@ def _held_by_hand(
     images: np.ndarray, inverse_depths: np.ndarray, towards: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cameras not quite upright, and poses not quite right."""
-    is_tilted, is_misplaced = rng.random() < TILTED, rng.random() < MISPLACED
+    is_tilted, is_misplaced = rng.random() < TILT_SHARE, rng.random() < POSE_ERROR_SHARE
     tilt = rng.normal(0.0, TILT, 3) * [1.0, 0.0, 1.0] * is_tilted
     error = rng.normal(0.0, TURN_ERROR, 3) * is_misplaced
     wrong = rng.normal(0.0, DIRECTION_ERROR, 3) * is_misplaced

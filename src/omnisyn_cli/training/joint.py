@@ -44,7 +44,7 @@ __all__ = ["JointConfig"]
 FUSION_WEIGHT = 1.0
 """Weight of the picture's loss beside that of the depth: both count the same."""
 
-FIRST_TO_SECOND = np.array([0.0, 0.0, -1.0])
+BASELINE_DIRECTION = np.array([0.0, 0.0, -1.0])
 """Direction from the first to the second camera in the forward frame."""
 
 
@@ -195,7 +195,7 @@ def render_between(
     """One panorama as it is seen, in the forward frame, from ``ahead`` baselines further on, at its own size."""
     surface = inverse_depth.detach().cpu().numpy()
     mesh = build_mesh(surface, confidence=confidence.cpu().numpy())
-    pose = Pose(np.eye(3), -ahead * FIRST_TO_SECOND)
+    pose = Pose(np.eye(3), -ahead * BASELINE_DIRECTION)
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
     weight = _weight(fragments, mesh).to(inverse_depth)

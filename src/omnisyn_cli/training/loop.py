@@ -35,7 +35,7 @@ __all__ = ["TrainConfig", "part_of", "train"]
 CHECKPOINT = "checkpoint.pt"
 """Name of the checkpoint that a run goes on from."""
 
-BEST = "best.pt"
+BEST_CHECKPOINT = "best.pt"
 """Name of the compact checkpoint with the least loss of what networks are judged by."""
 
 COLLAPSE_LOSS_RATIO = 1.25
@@ -188,7 +188,8 @@ class Trainer:
         if not loss <= COLLAPSE_LOSS_RATIO * self.best:
             raise TrainingError(
                 f"expected a held-out loss near {self.best:.4g}, the least so far, got {loss:.4g} at step {self.step}: "
-                f"the run has collapsed; put {BEST} in the place of {CHECKPOINT} and go on with a lower --rate"
+                f"the run has collapsed; put {BEST_CHECKPOINT} in the place of {CHECKPOINT} and go on with a "
+                f"lower --rate"
             )
         is_best = loss < self.best
         self.best = min(loss, self.best)
@@ -277,7 +278,7 @@ def train(
                 write_image(folder / "pictures" / f"{trainer.step:08d}.png", contact_sheet(pictures))
             report(row)
             if trainer.surpasses(trainer.scores.get(HELD_OUT_LOSS, math.nan)):
-                save_checkpoint(folder / BEST, compact(trainer.state()))
+                save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
             if board is not None:
                 board.add(row, pictures)
             losses, pool = [], list_pool(Path(config.pool), *trainer.task.pools)

@@ -26,7 +26,7 @@ from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder, write_errors
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation
-from omnisyn_cli.training.loop import BEST, CHECKPOINT, PROCESSOR, Trainer
+from omnisyn_cli.training.loop import BEST_CHECKPOINT, CHECKPOINT, PROCESSOR, Trainer
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.recipe import EARLY_STEPS, KIND, Recipe
 from omnisyn_cli.training.task import TrainConfig
@@ -38,7 +38,7 @@ __all__ = ["RecipeTrainer", "train_recipe"]
 POOL, VALIDATION_POOL = "walks", "validation-walks"
 """Folders of scenes in the folder of a run."""
 
-LOG, CURVE, LATEST = "log.jsonl", "curve.csv", "latest.pt"
+LOG, CURVE, LATEST_CHECKPOINT = "log.jsonl", "curve.csv", "latest.pt"
 """Files there, besides those of every run."""
 
 VALIDATION_SEED = 1_000_000
@@ -309,8 +309,8 @@ def _keep(trainer: RecipeTrainer, folder: Path, row: Mapping[str, float]) -> Non
     make_folder(folder / "pictures", "pictures")
     write_image(folder / "pictures" / f"{trainer.step:08d}.png", trainer.sheet())
     if trainer.surpasses(trainer.scores["error"]):
-        save_checkpoint(folder / BEST, trainer.compact())
-    save_checkpoint(folder / LATEST, trainer.compact())
+        save_checkpoint(folder / BEST_CHECKPOINT, trainer.compact())
+    save_checkpoint(folder / LATEST_CHECKPOINT, trainer.compact())
 
 
 def write_curve(path: Path, rows: list[dict[str, float]]) -> None:

@@ -19,7 +19,7 @@ from omnisyn_cli.geometry.sweep import sweep_directions
 
 __all__ = ["simulated_matching"]
 
-SEEN_WITHIN, SEEN_SLACK = 1.08, 0.004
+VISIBILITY_RATIO, VISIBILITY_SLACK = 1.08, 0.004
 """Factor, and inverse depth, within which the other view has to have the same surface for a point to be seen there."""
 
 EPIPOLES = (3.0, 14.0)
@@ -31,7 +31,7 @@ MAX_MATCHED = (0.7, 1.5)
 NOISE = (0.003, 0.02)
 """Relative error of √(inverse depth) where it is right."""
 
-PLAIN = 0.012
+MAX_UNMATCHED_CONTRAST = 0.012
 """Contrast (standard deviation of grey) up to which nothing may be found."""
 
 BORDER_JUMP = 0.03
@@ -96,9 +96,11 @@ def _is_found(
     moved = sweep_directions(directions, np.square(sqrt_inv_depth, dtype=np.float64), Pose(np.eye(3), -towards))
     there = RemapTable.for_directions(moved, size).nearest(np.ascontiguousarray(other))
     expected = np.square(sqrt_inv_depth) / np.maximum(np.linalg.norm(moved, axis=-1), 1e-6)
-    found = there <= SEEN_WITHIN * expected + SEEN_SLACK
+    found = there <= VISIBILITY_RATIO * expected + VISIBILITY_SLACK
     found &= np.abs(directions @ towards) < math.cos(math.radians(rng.uniform(*EPIPOLES)))
-    found &= (_contrast(image) > rng.uniform(0.0, PLAIN)) | (_blobs(size, 8, rng) > rng.uniform(0.2, 0.9))
+    found &= (_contrast(image) > rng.uniform(0.0, MAX_UNMATCHED_CONTRAST)) | (
+        _blobs(size, 8, rng) > rng.uniform(0.2, 0.9)
+    )
     found &= (sqrt_inv_depth < rng.uniform(*MAX_MATCHED)) | (_blobs(size, 8, rng) > rng.uniform(0.0, 0.6))
     found &= _blobs(size, int(rng.choice([4, 8, 16])), rng) > rng.uniform(-0.4, 0.25)
     return np.asarray(found)

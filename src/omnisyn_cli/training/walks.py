@@ -48,10 +48,10 @@ STOPS = 9
 LIGHT_RAYS = 16
 """Directions that every point of a mesh asks for light."""
 
-DARKEST = 0.06
+MIN_MEAN_BRIGHTNESS = 0.06
 """Mean of a picture below which a walk is dropped."""
 
-UPRIGHT = 0.05
+VERTICAL_PATH_SHARE = 0.05
 """Share of procedural paths that go straight up."""
 
 
@@ -180,7 +180,7 @@ def _procedural_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> 
     rng = np.random.default_rng([21, number])
     scene = generate_scene(kind, number, _packed_photos(config.textures))
     try:
-        path = sample_path(scene, number, STOPS, vertical=UPRIGHT)
+        path = sample_path(scene, number, STOPS, vertical=VERTICAL_PATH_SHARE)
     except ValueError:
         return None
     between = np.sort(rng.choice(np.arange(1, STOPS - 1), config.views - 2, replace=False))
@@ -211,7 +211,7 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
         return None
     scene = MeshScene.of(mesh, draw_lighting(caster, rng, poses[0].position, LIGHT_RAYS), caster)
     walk = mesh_walk(scene.exposed_at(poses[0]), poses, config.size, config.supersample)
-    is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * DARKEST
+    is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * MIN_MEAN_BRIGHTNESS
     return None if is_dark else walk
 
 

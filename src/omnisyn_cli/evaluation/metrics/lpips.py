@@ -19,7 +19,7 @@ FACES = (FORWARD, -FORWARD, *np.eye(3)[:2], *-np.eye(3)[:2])
 SMALLEST_FACE = 64
 """Pixels; a network of five poolings has nothing left of less."""
 
-EXPECTED = "two float images (batch, 3, height, width) in [-1, 1]"
+MODEL_INPUTS = "two float images (batch, 3, height, width) in [-1, 1]"
 
 
 class Lpips:
@@ -47,7 +47,7 @@ class Lpips:
         inputs = self._session.get_inputs()
         if len(inputs) != 2 or not all(_is_image(entry) for entry in inputs):
             got = ", ".join(f"{entry.name}: {entry.type} {tuple(entry.shape)}" for entry in inputs)
-            raise InputError(f"{path}: expected {EXPECTED}, got {got}; export the network with two image inputs")
+            raise InputError(f"{path}: expected {MODEL_INPUTS}, got {got}; export the network with two image inputs")
         self._names = [entry.name for entry in inputs]
         self._face_size = inputs[0].shape[2:]  # what is not fixed is a name or None
 

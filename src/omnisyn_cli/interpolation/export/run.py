@@ -15,7 +15,7 @@ from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
-from omnisyn_cli.interpolation.export.site_writer import SiteOptions, write_site
+from omnisyn_cli.interpolation.export.site_writer import MAX_CLIP_ROWS, SiteOptions, write_site
 from omnisyn_cli.interpolation.export.triangulation import textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from omnisyn_cli.interpolation.job import TourJob
@@ -40,8 +40,9 @@ POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
 PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
 """Bytes of a point and of a disc in a file."""
 
-SITE_BYTES, SITE_PIXEL_BYTES = 290e6, 54
-"""Of a site without depth: the program, and each pixel of a panorama that is read and made level. Measured."""
+SITE_BYTES, SITE_PIXEL_BYTES, CLIP_PIXEL_BYTES = 290e6, 54, 190
+"""Of a site without depth: the program, each pixel of a panorama that is read and made level, and each pixel of a clip
+besides what finding depth takes: all of its frames are held to be played backwards. Measured."""
 
 
 class Format(NamedTuple):
@@ -130,7 +131,10 @@ class ExportPlan(TourPlan):
     def memory(self) -> int:
         """Bytes that it will take, estimated."""
         chosen = FORMATS[self.format]
-        if not (self.has_depth or self.job.clips):
+        if self.job.clips:
+            rows = min(MAX_CLIP_ROWS, max(height for height, _ in self.source_sizes))
+            return memory_of_surfaces(self, Footprint(0.0, 0.0)) + CLIP_PIXEL_BYTES * 2 * rows**2
+        if not self.has_depth:
             return int(SITE_BYTES + SITE_PIXEL_BYTES * max(height * width for height, width in self.source_sizes))
         if chosen.point == 0:
             footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)

@@ -18,7 +18,7 @@ GOLDEN_RATIO = (1.0 + math.sqrt(5.0)) / 2.0
 OFFSET = 2e-3
 """Metres above its surface that a point asks for light."""
 
-SMALLEST = 0.05
+AMBIENT_LIGHT = 0.05
 """Light where nothing shines."""
 
 SOFT = 0.6
@@ -67,7 +67,7 @@ class Lighting:
             seen = np.where(np.isinf(free)[:, None], sky, self.bounced * np.clip(free / self.reach, 0.0, 1.0)[:, None])
             total[facing] += cosine[facing, None] * seen
             weight[facing] += cosine[facing]
-        light = SMALLEST + total / weight[:, None]
+        light = AMBIENT_LIGHT + total / weight[:, None]
         for lamp, colour in zip(self.lamps, self.lamp_light, strict=True):
             light += self._lamp(caster, starts, normals, lamp)[:, None] * colour
         return np.asarray(light)

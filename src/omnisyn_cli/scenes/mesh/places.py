@@ -22,10 +22,10 @@ CLEARANCE = 0.3
 RAYS = 96
 """That a place is judged by."""
 
-LEAST_ENCLOSED = 0.52
+MIN_ENCLOSED_SHARE = 0.52
 """Share of the rays that hit something; an empty plane alone is half."""
 
-LEAST_FLOOR = 0.95
+MIN_FLOOR_SHARE = 0.95
 """Share of the rays below a place that hit something."""
 
 BETWEEN_SHELLS = (0.4, 0.6)
@@ -68,7 +68,7 @@ def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place 
     hits = caster.hits(np.broadcast_to(position, directions.shape), directions)
     found = hits.is_hit
     below = directions[:, 1] < -0.6
-    if found.mean() < LEAST_ENCLOSED or found[below].mean() < LEAST_FLOOR:
+    if found.mean() < MIN_ENCLOSED_SHARE or found[below].mean() < MIN_FLOOR_SHARE:
         return None
     distances = hits.distance[found]
     if distances.min() < CLEARANCE or np.median(distances) < NEAR_MEDIAN:

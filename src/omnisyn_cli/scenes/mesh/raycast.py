@@ -19,7 +19,7 @@ STEP = 1e-4
 OPAQUE = 128
 """Least opacity that stops a ray."""
 
-NOTHING = 1e30
+MISS_DISTANCE_BOUND = 1e30
 """Embree's distance where there is nothing is beyond this."""
 
 
@@ -76,7 +76,7 @@ class MeshCaster:
     ) -> Float[np.ndarray, " rays"]:
         """Metres to the first surface, cut-outs included, infinite where there is none; single precision."""
         found = self._scene.run(*_single(origins, directions), query="DISTANCE")
-        return np.where(found > NOTHING, np.inf, found)
+        return np.where(found > MISS_DISTANCE_BOUND, np.inf, found)
 
     def hits(self, origins: Float[np.ndarray, "rays 3"], directions: Float[np.ndarray, "rays 3"]) -> Hits:
         """The first opaque surface along unit vectors."""

@@ -12,16 +12,16 @@ __all__ = ["papered_mesh", "varied_mesh"]
 
 SCALES = (0.75, 1.35)
 
-DROPPED = 0.12
+DROP_CHANCE = 0.12
 """Chance that a small material's faces are left out."""
 
-SMALL = 0.04
+MAX_DROPPED_AREA_SHARE = 0.04
 """Share of the area up to which a material may be left out."""
 
-PAPERED = (0.0, 0.8)
+PHOTO_SHARES = (0.0, 0.8)
 """Share of the materials without texture that get a photograph, between which a scene draws its own."""
 
-REPLACED = 0.15
+REPLACEMENT_CHANCE = 0.15
 """Chance that a textured material gets another photograph."""
 
 TILES = (0.4, 4.0)
@@ -40,7 +40,7 @@ def varied_mesh(
     """
     kept = _kept_faces(mesh, rng)
     scale = np.exp(rng.uniform(*np.log(SCALES))) * np.array([rng.choice([-1.0, 1.0]), 1.0, 1.0])
-    share = rng.uniform(*PAPERED)
+    share = rng.uniform(*PHOTO_SHARES)
     return replace(
         mesh,
         vertices=(mesh.vertices * scale).astype(np.float32),
@@ -66,8 +66,8 @@ def _papered(material: Material, rng: np.random.Generator, photos: Sequence[np.n
 
 def _kept_faces(mesh: TexturedMesh, rng: np.random.Generator) -> Bool[np.ndarray, " faces"]:
     areas = np.bincount(mesh.face_material, mesh.face_areas(), len(mesh.materials))
-    is_small = areas < SMALL * areas.sum()
-    dropped = is_small & (rng.random(len(areas)) < DROPPED * rng.random())
+    is_small = areas < MAX_DROPPED_AREA_SHARE * areas.sum()
+    dropped = is_small & (rng.random(len(areas)) < DROP_CHANCE * rng.random())
     return np.asarray(~dropped[mesh.face_material])
 
 
@@ -81,7 +81,7 @@ def _varied(material: Material, rng: np.random.Generator, photos: Sequence[np.nd
     )
     if material.is_emissive or material.is_lightmapped or material.is_lit:
         return material
-    if photos and chance < (REPLACED if material.is_textured else share) and material.opacity is None:
+    if photos and chance < (REPLACEMENT_CHANCE if material.is_textured else share) and material.opacity is None:
         return replace(material, texture=photos[photo % len(photos)], tile=float(np.exp(tile)))
     if not material.is_textured:
         return replace(material, colour=np.clip(material.colour * np.exp(0.15 * tint + 0.1 * tint[0]), 0.02, 0.98))
