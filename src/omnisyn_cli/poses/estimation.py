@@ -39,7 +39,7 @@ from omnisyn_cli.poses.registration.pose_graph import (
     shortest_path,
 )
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
-from omnisyn_cli.poses.registration.scan import Scan, likeness, register_pair, scan_panorama
+from omnisyn_cli.poses.registration.scan import Scan, forget_tables, likeness, register_pair, scan_panorama
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
@@ -193,29 +193,22 @@ def estimate_poses(
     edges = [edge for edge in edges if edge.first in placed]
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
     found = positions_of(edges, *baseline_lengths(edges, given), {k: rotations[k] for k in placed})
-    adjusted = adjust({k: Pose(rotations[k], found[k]) for k in placed}, edges, given)
-    world, level_note = _levelled(adjusted.poses, scans)
-    order = shortest_path({k: pose.position for k, pose in world.items()}, edges) if finds_order else placed
+    poses = {k: Pose(rotations[k], found[k]) for k in placed}
+    adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
+    poses = adjusted.poses if adjusted else poses
+    order = shortest_path({k: pose.position for k, pose in poses.items()}, edges) if finds_order else placed
+    world, level_note = _levelled({k: poses[k] for k in order}, scans)
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     world = {k: Pose(pose.rotation, scale * pose.position) for k, pose in world.items()}
-    names = distinct_names(images)
-    notes = [f"{images[placed[0]].name} is at the origin; {level_note}", scale_note]
-    neighbours = {frozenset(pair) for pair in pairwise(order)}
-    shown = [edge for edge in edges if {edge.first, edge.second} in neighbours]
     known = {pair: _relative_uncertainty(*pair, edges, adjusted) for pair in pairwise(order)}
-    for edge in shown:
-        ends = edge.first, edge.second
-        note = _estimate_note(edge, known.get(ends) or known[ends[::-1]])
-        notes.append(f"{' and '.join(images[k].name for k in ends)}: {note}")
-    if len(edges) > len(shown):
-        notes.append(f"{len(edges) - len(shown)} other pairs match as well and are taken into account")
+    notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
     if contradictions := sum(edge.first in placed for edge in matched) - len(edges):
         notes.append(f"{contradictions} more match, but contradict the others and are not used")
     if left_out:
         notes.append(f"left out, as nothing tells where they are: {', '.join(image.name for image in left_out)}")
     if finds_order:
         notes.append(f"order: {', '.join(images[k].name for k in order)}")
-    spreads = [None, *known.values()]
+    names, spreads = distinct_names(images), [None, *known.values()]
     entries = {names[k]: PosedPanorama(world[k], uncertainty=spread) for k, spread in zip(order, spreads, strict=True)}
     pairs = tuple((names[edge.first], names[edge.second]) for edge in edges)
     return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order), pairs)
@@ -224,6 +217,7 @@ def estimate_poses(
 def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:
     for image, mask in zip(images, _given_masks(images, options), strict=True):
         yield scan_panorama(*_usable_picture(image, (mask,), options), options.threads)
+    forget_tables()
 
 
 def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], int]]:
@@ -266,7 +260,7 @@ def _unplaced(images: Sequence[Path], placed: Sequence[int], tried: Mapping[tupl
 
 
 def _levelled(world: Mapping[int, Pose], scans: Sequence[Scan]) -> tuple[dict[int, Pose], str]:
-    """The same poses in a world whose y axis is up and in which the first panorama looks towards −z."""
+    """The same poses in a world whose y axis is up, in which the first one is at the origin and looks towards −z."""
     first = next(iter(world.values()))
     upright = np.sum([pose.rotation @ UP for pose in world.values()], axis=0)
     lines = np.concatenate([scans[k].lines @ pose.rotation.T for k, pose in world.items()])
@@ -279,7 +273,7 @@ def _levelled(world: Mapping[int, Pose], scans: Sequence[Scan]) -> tuple[dict[in
         note = f"vertical edges say that it was tilted by {tilt:.1f}° ± {math.degrees(vertical.std):.2f}°"
     ahead = level @ first.rotation @ FORWARD
     level = rotation_from_rotation_vector(math.atan2(ahead[0], -ahead[2]) * UP) @ level
-    return {k: Pose(level @ pose.rotation, level @ pose.position) for k, pose in world.items()}, note
+    return {k: Pose(level @ pose.rotation, level @ (pose.position - first.position)) for k, pose in world.items()}, note
 
 
 def _scale(
@@ -345,6 +339,7 @@ def _matched_pairs(images: Sequence[Path], masks: Sequence[Path | None], options
     )
     for first, second in pairwise(features):
         yield match_features(first, second)
+    forget_tables()
 
 
 def _given_masks(images: Sequence[Path], options: PictureOptions) -> Sequence[Path | None]:
@@ -368,8 +363,10 @@ def _usable_picture(
     return panorama.image, usable
 
 
-def _relative_uncertainty(first: int, second: int, edges: Sequence[Edge], adjusted: Adjustment) -> PoseUncertainty:
-    if len(adjusted.poses) == 2:
+def _relative_uncertainty(
+    first: int, second: int, edges: Sequence[Edge], adjusted: Adjustment | None
+) -> PoseUncertainty:
+    if adjusted is None:
         return _of_pair(edges[0].estimate)
     rotation, position = adjusted.relative_std(first, second)
     return PoseUncertainty(rotation, position if math.isfinite(position) else None)
@@ -379,6 +376,20 @@ def _of_pair(estimate: Estimate) -> PoseUncertainty:
     """Of a pair whose distance is given: only its direction is uncertain."""
     spread = estimate.uncertainty
     return PoseUncertainty(spread.rotation, None if estimate.have_same_position else math.tan(spread.direction))
+
+
+def _pair_notes(
+    images: Sequence[Path], edges: Sequence[Edge], known: Mapping[tuple[int, int], PoseUncertainty]
+) -> list[str]:
+    """About the neighbours whose uncertainty is known, and how many pairs besides."""
+    notes = []
+    for edge in edges:
+        ends = edge.first, edge.second
+        if spread := known.get(ends) or known.get(ends[::-1]):
+            notes.append(f"{' and '.join(images[k].name for k in ends)}: {_estimate_note(edge, spread)}")
+    if len(edges) > len(notes):
+        notes.append(f"{len(edges) - len(notes)} other pairs match as well and are taken into account")
+    return notes
 
 
 def _estimate_note(edge: Edge, spread: PoseUncertainty) -> str:

@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.poses.registration.bundle_equations import Equations, Lengths, Observations, State, cross_matrices
+from omnisyn_cli.poses.registration.bundle_equations import Equations, Lengths, Observations, State
+from omnisyn_cli.poses.registration.least_squares import cross_matrices
 from omnisyn_cli.poses.registration.pose_graph import Edge, connected_with
 
 MAX_ITERATIONS = 40
 
-MIN_STEP = 1e-7
+MIN_STEP = 2e-5
 """Radians, or shares of a baseline: smaller steps end the search."""
 
 FIRST_SPREAD, LAST_SPREAD, SPREAD_SHRINKAGE = 8.0, 1.0, 0.7

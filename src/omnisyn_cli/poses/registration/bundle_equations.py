@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.poses.registration.least_squares import JACKKNIFE_ANGLE, sphere_cells
+from omnisyn_cli.poses.registration.least_squares import JACKKNIFE_ANGLE, cross_matrices, sphere_cells
 from omnisyn_cli.poses.registration.pose_graph import Edge
 
 MAX_OBSERVATIONS = 100_000
@@ -321,8 +321,3 @@ def _most_shared(point: np.ndarray) -> Int[np.ndarray, " kept"]:
 def _distances(steps: np.ndarray) -> Float[np.ndarray, " n"]:
     """Lengths, of which logarithms are taken."""
     return np.asarray(np.maximum(np.linalg.norm(steps, axis=-1), 1e-12))
-
-
-def cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """``[v]`` with ``[v]·w = v × w``."""
-    return np.asarray(np.cross(np.eye(3), vectors[..., None, :]))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -141,8 +142,8 @@ def match_features(first: Features, second: Features) -> Matches:
     similarity = first.descriptor @ second.descriptor.T
     best = np.argmax(similarity, axis=1)
     every = np.arange(len(best))
-    is_mutual = np.argmax(similarity, axis=0)[best] == every
     top = similarity[every, best]
+    is_mutual = top == similarity.max(axis=0)[best]
     similarity[every, best] = -np.inf
     nearest, runner_up = (2.0 * (DESCRIPTOR_NORM**2 - each).clip(0.0) for each in (top, similarity.max(axis=1)))
     chosen = np.flatnonzero(is_mutual & (nearest < LOWE_RATIO**2 * runner_up))
@@ -159,18 +160,27 @@ def grey_of(image: Float[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "ro
 
 def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Direction, descriptor and response of the features that belong to one band."""
-    height, width = size = (grey.shape[0], grey.shape[1])
-    reach = BAND_LATITUDE + BAND_MARGIN
-    edge, _ = angles_to_pixel(0.0, math.acos(math.sin(reach)), size)
-    top, wrap = max(math.floor(edge), 0), width // 16  # 22.5° are repeated on both sides, so that the seam has none
-    row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
-    direction = pixel_to_direction(row.astype(float), col.astype(float), size) @ CAMERA_FROM_BAND[axis].T
-    band = RemapTable.for_directions(direction, grey.shape).bilinear(grey)
-    place, descriptor, response = detect_sift(band)
+    _, width = size = (grey.shape[0], grey.shape[1])
+    table, top, wrap = band_table(size, axis)
+    place, descriptor, response = detect_sift(table.bilinear(grey))
     place += np.array([-wrap, top])
     direction = pixel_to_direction(place[:, 1], place[:, 0], size)
     is_inside = (place[:, 0] >= -0.5) & (place[:, 0] < width - 0.5) & (np.argmin(np.abs(direction), axis=1) == 1)
     return direction[is_inside] @ CAMERA_FROM_BAND[axis].T, descriptor[is_inside], response[is_inside]
+
+
+@lru_cache(maxsize=3)
+def band_table(size: tuple[int, int], axis: int) -> tuple[RemapTable, int, int]:
+    """Where a band is in images of a size; its first row, and the columns that are repeated on both sides.
+
+    The next panorama needs the same; who has read the last one calls ``cache_clear``.
+    """
+    height, width = size
+    edge, _ = angles_to_pixel(0.0, math.acos(math.sin(BAND_LATITUDE + BAND_MARGIN)), size)
+    top, wrap = max(math.floor(edge), 0), width // 16  # 22.5°, so that the seam has no features of its own
+    row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
+    direction = pixel_to_direction(row.astype(float), col.astype(float), size) @ CAMERA_FROM_BAND[axis].T
+    return RemapTable.for_directions(direction, size), top, wrap
 
 
 def detect_sift(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -81,14 +82,11 @@ def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray,
     Source: Grompone von Gioi et al., LSD: a fast line segment detector with a false detection control, PAMI 2010.
     """
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
-    side = round(FACE_SHARE * len(grey))
-    across = ((np.arange(side) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
-    x, y = np.meshgrid(across, -across)
-    plane = np.stack([x, y, -np.ones_like(x)], axis=-1)
-    plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
     found, middles = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for rotation in CAMERA_FROM_FACE:
-        segments = detector.detect(RemapTable.for_directions(plane @ rotation.T, grey.shape).bilinear(grey))[0]
+    for face, rotation in enumerate(CAMERA_FROM_FACE):
+        table = face_table((grey.shape[0], grey.shape[1]), face)
+        side = len(table.row)
+        segments = detector.detect(table.bilinear(grey))[0]
         if segments is not None:
             ends = ((segments.reshape(-1, 2, 2) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
             directions = np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1)
@@ -101,6 +99,17 @@ def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray,
     if usable is not None:
         chosen &= np.asarray(sample_nearest(usable.astype(np.float32), np.concatenate(middles)) > 0)
     return np.asarray(sines[chosen] / length[chosen] * np.arcsin(length[chosen].clip(0.0, 1.0)))
+
+
+@lru_cache(maxsize=len(CAMERA_FROM_FACE))
+def face_table(size: tuple[int, int], face: int) -> RemapTable:
+    """Where a tangent image is in panoramas of a size; who has read the last one calls ``cache_clear``."""
+    side = round(FACE_SHARE * size[0])
+    across = ((np.arange(side) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
+    x, y = np.meshgrid(across, -across)
+    plane = np.stack([x, y, -np.ones_like(x)], axis=-1)
+    plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
+    return RemapTable.for_directions(plane @ CAMERA_FROM_FACE[face].T, size)
 
 
 def find_vertical(lines: Lines, near: Float[np.ndarray, " 3"] = UP) -> Vertical:

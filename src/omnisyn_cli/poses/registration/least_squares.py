@@ -32,8 +32,8 @@ def epipolar_residual(first_from_second: Pose, matches: Matches) -> Float[np.nda
     distance to the nearest pair of directions that fits; it stays bounded at the epipoles.
     """
     turned = matches.second @ first_from_second.rotation.T
-    plane_of_second = np.cross(first_from_second.position, turned)
-    plane_of_first = np.cross(matches.first, first_from_second.position)
+    across = cross_matrices(first_from_second.position).T
+    plane_of_second, plane_of_first = turned @ across, matches.first @ across
     triple = np.einsum("ni,ni->n", matches.first, plane_of_second)
     squared = 0.5 * (np.sum(plane_of_second**2, axis=1) + np.sum(plane_of_first**2, axis=1))
     sine = triple / np.sqrt(np.where(squared > MIN_SQUARED_SINE, squared, 1.0))
@@ -46,19 +46,21 @@ def is_in_front(first_from_second: Pose, matches: Matches, slack: float = 0.0) -
     With θ₁ and θ₂ the angles that the two directions make with t, a point in front has θ₂ > θ₁. Points that moved by
     less than ``slack`` radians are far away and count as in front.
     """
-    t = first_from_second.position
     turned = matches.second @ first_from_second.rotation.T
-    normal = np.cross(matches.first, turned)
-    squared = np.sum(normal**2, axis=1)
-    along_first = np.einsum("ni,ni->n", np.cross(t, turned), normal)
-    along_second = np.einsum("ni,ni->n", np.cross(t, matches.first), normal)
-    is_far = (squared <= math.sin(slack) ** 2) & (np.einsum("ni,ni->n", matches.first, turned) > 0)
-    return np.asarray(((along_first > 0) & (along_second > 0)) | is_far)
+    cosine = np.einsum("ni,ni->n", matches.first, turned)
+    cosine_first, cosine_second = matches.first @ first_from_second.position, turned @ first_from_second.position
+    is_far = (1.0 - cosine**2 <= math.sin(slack) ** 2) & (cosine > 0)
+    return np.asarray(((cosine_first > cosine_second * cosine) & (cosine_first * cosine > cosine_second)) | is_far)
 
 
 def angle_between(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
     """Angle in radians between vectors of any length; exact for small ones."""
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """``[v]`` with ``[v]·w = v × w``."""
+    return np.asarray(np.cross(np.eye(3), vectors[..., None, :]))
 
 
 def sphere_cells(
@@ -188,11 +190,12 @@ def _jacobian(pose: Pose, matches: Matches) -> np.ndarray:
     of s are left out: they are weighted with the residual itself, which is small.
     """
     t, turned = pose.position, matches.second @ pose.rotation.T
-    of_first, of_second = np.cross(matches.first, t), np.cross(t, turned)
-    squared = 0.5 * (np.sum(of_first**2, axis=1) + np.sum(of_second**2, axis=1))
-    by_rotation = np.cross(turned, of_first)
-    by_direction = np.cross(turned, matches.first) @ _tangent(t)
-    derivative: np.ndarray = np.concatenate([by_rotation, by_direction], axis=1)
+    across = cross_matrices(t).T
+    squared = 0.5 * (np.sum((matches.first @ across) ** 2, axis=1) + np.sum((turned @ across) ** 2, axis=1))
+    cosine = np.einsum("ni,ni->n", matches.first, turned)
+    by_rotation = matches.first * (turned @ t)[:, None] - t * cosine[:, None]
+    by_direction = [np.einsum("ni,ni->n", turned @ cross_matrices(each).T, matches.first) for each in _tangent(t).T]
+    derivative: np.ndarray = np.column_stack([by_rotation, *by_direction])
     return np.asarray(derivative / np.sqrt(np.maximum(squared, MIN_NOISE))[:, None])
 
 

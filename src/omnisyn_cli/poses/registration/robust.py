@@ -87,6 +87,9 @@ HYPOTHESES_PER_CHUNK = 256
 REFINED_HYPOTHESES = 5
 """Hypotheses that are refined."""
 
+CLEAR_SHARE = 0.6
+"""Share of the matches that agree with a known or an upright pose from which on no general one is looked for."""
+
 MIN_ROTATION_ONLY_SHARE = 0.9
 """Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place."""
 
@@ -209,11 +212,12 @@ def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals:
     refined = [refine_pose(start, matches, scale) for start in starts]
     costs = [_pose_cost(pose, matches, weight, scale) for pose in refined]
     share = 1.0 - min(costs, default=np.inf) / len(matches)
-    found = _hypotheses(matches, weight, scale, essential_candidates, 5, share)
-    refined += [refine_pose(start, matches, scale) for start in _in_front(found, matches, weight, scale)]
+    if share < CLEAR_SHARE:
+        found = _hypotheses(matches, weight, scale, essential_candidates, 5, share)
+        refined += [refine_pose(start, matches, scale) for start in _in_front(found, matches, weight, scale)]
+        costs += [_pose_cost(pose, matches, weight, scale) for pose in refined[len(costs) :]]
     if not refined:  # one picture twice: all samples are degenerate
         return refine_pose(FORWARD_POSE, matches, scale)
-    costs += [_pose_cost(pose, matches, weight, scale) for pose in refined[len(costs) :]]
     return refined[int(np.argmin(costs))]
 
 

@@ -10,8 +10,15 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.poses.registration.features import Features, Matches, find_grey_features, grey_of, match_features
-from omnisyn_cli.poses.registration.gravity import Lines, Vertical, find_lines, find_vertical
+from omnisyn_cli.poses.registration.features import (
+    Features,
+    Matches,
+    band_table,
+    find_grey_features,
+    grey_of,
+    match_features,
+)
+from omnisyn_cli.poses.registration.gravity import Lines, Vertical, face_table, find_lines, find_vertical
 from omnisyn_cli.poses.registration.levelled_features import (
     LevelledFeatures,
     find_levelled_features,
@@ -70,6 +77,12 @@ def scan_panorama(
     grey = grey_of(image)
     small = cv2.resize(np.asarray(image, np.float32), (2 * SMALL_ROWS, SMALL_ROWS), interpolation=cv2.INTER_AREA)
     return Scan(grey, small, usable, find_grey_features(grey, usable, threads), find_lines(grey, usable), threads)
+
+
+def forget_tables() -> None:
+    """Free what scanning keeps for further panoramas of the same size."""
+    band_table.cache_clear()
+    face_table.cache_clear()
 
 
 def likeness(first: Scan, second: Scan) -> int:
