@@ -81,12 +81,13 @@ def export(
     omnisyn export a.jpg b.jpg --poses auto --baseline 1.4
     omnisyn export tour/ --format splats --stride 2
     omnisyn export a.jpg b.jpg c.jpg --poses auto -o dataset/ --format colmap
+    omnisyn export tour/ --format pannellum -o site/
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
     it, in the order of their names.
 
     Poses, masks and depth work as in `omnisyn interpolate`. All formats are in metres and have the origin of the poses.
-    The up axis differs; see docs/export.md.
+    The up axis differs; see docs/export.md. Sites for viewers are described in docs/tours.md.
 
     Put names that begin with a dash after ``--``.
     """  # noqa: D301 - click's \b is a backspace

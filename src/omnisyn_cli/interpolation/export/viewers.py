@@ -208,13 +208,8 @@ KRPANO_ACTIONS: Mapping[str, tuple[dict[str, str], str]] = {
 
 def _krpano_scene(root: ElementTree.Element, panorama: SitePanorama, fov: float | None) -> None:
     caption = " – ".join(filter(None, (panorama.title, panorama.caption)))
-    scene = ElementTree.SubElement(
-        root,
-        "scene",
-        name=f"scene_{panorama.identity}",
-        title=html.escape(panorama.title),
-        caption=html.escape(caption),
-    )
+    texts = {"title": html.escape(panorama.title), "caption": html.escape(caption)}
+    scene = ElementTree.SubElement(root, "scene", {"name": f"scene_{panorama.identity}", **texts})
     shown = math.degrees(math.radians(MARZIPANO_FOV) if fov is None else fov)
     view = _krpano_angles(panorama, "hlookat", "vlookat")
     ElementTree.SubElement(scene, "view", {**view, "fovtype": "VFOV", "fov": f"{shown:.3f}", "limitview": "auto"})
