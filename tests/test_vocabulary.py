@@ -116,9 +116,11 @@ PRIVATE_NAMES = {
 """Whole names, whose words are fine in others."""
 
 COMMON_NAMES = {
-    "PAINTING",  # the name of an option's value
+    "BrokenProcessPool", "ProcessPoolExecutor", "ThreadPoolExecutor",  # of the standard library
     "avg_pool2d", "max_pool", "max_pool2d",
+    "fill_with_planes",  # of geometry
     "look_up", "look_up_rows", "looked_up",
+    "pool", "pools", "validation_pool",  # of `train pool` and `--pool`: a folder of scenes to learn from
     "run_bands",
     "take_along_axis",
 }  # fmt: skip
@@ -142,10 +144,23 @@ NOT_NOUNS = {
 }  # fmt: skip
 """Adjectives, adverbs, numbers and prepositions that cannot name a constant by themselves."""
 
-NOUNS = {"CUBED", "EMBED", "RED", "SEED", "SPEED", "CHEST", "REQUEST", "TEST", "TABLE", "VARIABLE"}
+NOUNS = {
+    "CUBED",
+    "EMBED",
+    "FORWARD",
+    "MANIFEST",
+    "RED",
+    "SEED",
+    "SPEED",
+    "CHEST",
+    "REQUEST",
+    "TEST",
+    "TABLE",
+    "VARIABLE",
+}
 """What :data:`NOT_A_NOUN` mistakes for something else."""
 
-NOT_A_NOUN = re.compile(r"\w(ED|EST|ABLE|IBLE|LESS|FUL|OUS|WARD)")
+NOT_A_NOUN = re.compile(r"\w+(ED|EST|ABLE|IBLE|LESS|FUL|OUS|WARD)")
 """Endings of participles, superlatives and other adjectives."""
 
 GERUNDS = {"COMPILING", "CORRECTING", "DIFFERING", "DOUBTING", "FINDING", "HALVING", "PASSING", "SPREADING", "WAITING"}

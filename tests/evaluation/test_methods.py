@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hall_samples import SIZE, loaded_hall
 
-from omnisyn_cli.baselines.fades import optical_flow
+from omnisyn_cli.baselines.cross_fade import optical_flow
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import methods

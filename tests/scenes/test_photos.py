@@ -20,7 +20,7 @@ from omnisyn_cli.scenes.scene import PhotoTextures
 from omnisyn_cli.scenes.shader import FITTED_MAPPING, UNDER_MAPPING, photo_at
 from omnisyn_cli.scenes.textures import FacePoint
 from omnisyn_cli.training.data import load_scene
-from omnisyn_cli.training.pool import PoolConfig, render_to_pool
+from omnisyn_cli.training.line_scenes import LineSceneConfig, render_line_scene
 
 GOLDEN = Path(__file__).with_name("procedural_scenes.npz")
 """Pictures from before there were photographs: ``generate_scene(kind, seed)`` from the first place of
@@ -246,9 +246,9 @@ def test_folders_without_photographs_are_refused_before_anything_is_written(tmp_
 
 
 def test_a_pool_of_photographs_has_the_depth_of_the_procedural_one(tmp_path, folder):
-    config = PoolConfig(size=(32, 64), views=2, pose_error_share=0.0)
+    config = LineSceneConfig(size=(32, 64), views=2, pose_error_share=0.0)
     plain, take_photograph = (
-        load_scene(render_to_pool(tmp_path / name, 1, replace(config, textures=textures)))
+        load_scene(render_line_scene(tmp_path / name, 1, replace(config, textures=textures)))
         for name, textures in (("plain", None), ("photographed", str(folder)))
     )
     np.testing.assert_array_equal(plain.inverse_depth, take_photograph.inverse_depth)

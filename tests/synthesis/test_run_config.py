@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omnisyn_cli.baselines.fades import CrossFades, FlowFades
+from omnisyn_cli.baselines.cross_fade import CrossFadeMethod, FlowMethod
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
@@ -20,7 +20,9 @@ SIZE = (64, 128)
 HALF_WAY = Waypoint(0, 0.5, posed((0, 0, 0)))
 
 
-@pytest.mark.parametrize(("name", "kind"), [("crossfade", CrossFades), ("flow", FlowFades), ("omnisyn", SurfaceMethod)])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("crossfade", CrossFadeMethod), ("flow", FlowMethod), ("omnisyn", SurfaceMethod)]
+)
 def test_a_method_is_what_its_recipe_names_and_makes_frames_of_its_size(name: str, kind: type) -> None:
     views = [hall_view(posed((0, 0, z)), SIZE) for z in (0.5, -0.5)]
     method = make_method(RunConfig(method=name), (32, 64), threads=1)

@@ -18,7 +18,7 @@ from omnisyn_cli.networks.completion import (
 )
 from omnisyn_cli.training import completion, losses
 from omnisyn_cli.training.completion import completion_pair, draw_completion
-from omnisyn_cli.training.data import Augmentation, list_pool
+from omnisyn_cli.training.data import Augmentation, list_scene_files
 from omnisyn_cli.training.loop import TrainConfig, Trainer
 from omnisyn_cli.training.losses import completion_loss, completion_scores
 from omnisyn_cli.training.publish import publish
@@ -65,7 +65,7 @@ def test_roots_are_those_of_the_scene_in_the_turned_frame():
 
 
 def test_equal_random_numbers_make_equal_batches(tmp_path):
-    pool = list_pool(make_pool(tmp_path))
+    pool = list_scene_files(make_pool(tmp_path))
     first, again, other = (
         draw_completion(pool, np.random.default_rng(seed), 1, SIZE, Augmentation()) for seed in (1, 1, 2)
     )
@@ -227,7 +227,7 @@ def test_views_that_are_too_small_are_refused():
 def test_batches_drawn_ahead_are_those_of_their_step(tmp_path):
     """A run that goes on draws what it would have drawn, and learns the same, bit for bit."""
     folder = make_pool(tmp_path)
-    pool = list_pool(folder)
+    pool = list_scene_files(folder)
     config = TrainConfig(str(folder), str(folder), size=SIZE, batch=1)
     through, stopped = Trainer(TINY, config), Trainer(TINY, config)
     losses = [through.advance(pool) for _ in range(4)]

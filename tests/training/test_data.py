@@ -9,7 +9,7 @@ from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.training import data
-from omnisyn_cli.training.data import Augmentation, draw_batch, list_pool, load_scene, save_scene
+from omnisyn_cli.training.data import Augmentation, draw_batch, list_scene_files, load_scene, save_scene
 
 ABOVE = Pose(np.eye(3), np.array([0.0, -1.0, 0.0]))
 """The first camera's points seen by one that stands a baseline up the zenith."""
@@ -18,7 +18,7 @@ ABOVE = Pose(np.eye(3), np.array([0.0, -1.0, 0.0]))
 @pytest.mark.parametrize("size", [(64, 128), (32, 64)])
 def test_every_pair_is_photoconsistent(tmp_path, size):
     """Whichever end a pair is read from, mirrored or not: the root leads to the same colour in the second image."""
-    batch = draw_batch(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 16, size)
+    batch = draw_batch(list_scene_files(make_pool(tmp_path)), np.random.default_rng(0), 16, size)
     assert batch.first.shape == batch.second.shape == (16, 3, *size)
     assert batch.sqrt_inv_depth.shape == (16, 1, *size)
     assert set(np.round(batch.baseline.numpy(), 3)) == {np.float32(0.4), np.float32(0.6), np.float32(1.0)}
@@ -52,13 +52,13 @@ def test_where_surfaces_meet_depth_is_that_of_the_nearest():
 
 
 def test_a_pool_that_is_no_multiple_of_the_size_is_refused(tmp_path):
-    pool = list_pool(make_pool(tmp_path))
+    pool = list_scene_files(make_pool(tmp_path))
     with pytest.raises(InputError, match="multiple of 48 rows, got 64"):
         draw_batch(pool, np.random.default_rng(0), 1, (48, 96))
 
 
 def test_equal_seeds_draw_equal_batches(tmp_path):
-    pool = list_pool(make_pool(tmp_path))
+    pool = list_scene_files(make_pool(tmp_path))
     one, same, other = (
         draw_batch(pool, np.random.default_rng(seed), 2, (64, 128), Augmentation()) for seed in (3, 3, 4)
     )
@@ -68,7 +68,7 @@ def test_equal_seeds_draw_equal_batches(tmp_path):
 
 
 def test_varied_colours_stay_colours_of_the_same_picture(tmp_path):
-    pool = list_pool(make_pool(tmp_path))
+    pool = list_scene_files(make_pool(tmp_path))
     for seed in range(12):
         rng, same = np.random.default_rng(seed), np.random.default_rng(seed)
         varied = draw_batch(pool, rng, 1, (64, 128), Augmentation(jpeg=1.0, blur=1.0))
@@ -91,4 +91,4 @@ def test_a_scene_survives_the_disk(tmp_path):
 
 def test_an_empty_pool_is_an_error_that_says_what_to_do(tmp_path):
     with pytest.raises(InputError, match="omnisyn train pool"):
-        list_pool(tmp_path)
+        list_scene_files(tmp_path)

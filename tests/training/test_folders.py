@@ -13,9 +13,9 @@ from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
-from omnisyn_cli.training.data import draw_batch, list_pool, load_scene
+from omnisyn_cli.training.data import draw_batch, list_scene_files, load_scene
+from omnisyn_cli.training.line_scenes import add_pair, pair_path, scene_from_pair
 from omnisyn_cli.training.losses import depth_scores, paper_loss
-from omnisyn_cli.training.pool import add_pair, pair_path, pool_scene
 from omnisyn_cli.types import DepthEstimate, View
 
 RADIUS, CENTRE = 3.0, np.array([0.3, -0.2, 0.4])
@@ -43,7 +43,7 @@ def view(pose, size, *, hole=False, mask=None):
 
 @pytest.mark.parametrize("size", [SIZE, (128, 256)])
 def test_a_pair_is_held_as_pools_are(size):
-    scene = pool_scene(view(FIRST, size), view(SECOND, size), SIZE)
+    scene = scene_from_pair(view(FIRST, size), view(SECOND, size), SIZE)
     frame, other, baseline = epipole_frame(FIRST, SECOND)
     np.testing.assert_allclose(scene.along, [0.0, baseline], rtol=1e-6)
     for pose, image, inverse_depth in zip((frame, other), scene.images, scene.inverse_depth, strict=True):
@@ -60,7 +60,7 @@ def test_holes_and_masks_are_unknown_and_teach_nothing(tmp_path):
     shares = np.isnan(stored.inverse_depth).mean(axis=(1, 2))
     assert 0.03 < shares[0] < 0.2
     assert 0.4 < shares[1] < 0.6
-    batch = draw_batch(list_pool(folder), np.random.default_rng(0), 4, SIZE)
+    batch = draw_batch(list_scene_files(folder), np.random.default_rng(0), 4, SIZE)
     unknown = torch.isnan(batch.sqrt_inv_depth)
     assert unknown.any()
     heads = torch.rand(2, 4, 1, *SIZE)
@@ -87,9 +87,9 @@ def figures(heads, batch):
 def test_pairs_without_depth_or_without_a_baseline_are_refused():
     plain = View(ball(FIRST, SIZE)[1], FIRST)
     with pytest.raises(InputError, match="true depth"):
-        pool_scene(plain, view(SECOND, SIZE), SIZE)
+        scene_from_pair(plain, view(SECOND, SIZE), SIZE)
     with pytest.raises(InputError, match="different places"):
-        pool_scene(view(FIRST, SIZE), view(FIRST, SIZE), SIZE)
+        scene_from_pair(view(FIRST, SIZE), view(FIRST, SIZE), SIZE)
 
 
 def test_names_of_files_are_plain(tmp_path):
@@ -117,7 +117,7 @@ def test_a_folder_of_scenes_becomes_a_pool_once(tmp_path):
     arguments = ["convert", str(tmp_path / "data"), str(tmp_path / "pool"), "--height", "64"]
     result = CliRunner().invoke(train_command, arguments)
     assert result.exit_code == 0, result.output
-    names = [path.name for path in list_pool(tmp_path / "pool")]
+    names = [path.name for path in list_scene_files(tmp_path / "pool")]
     assert names == ["walk-0.png-1.png.npz", "walk-1.png-2.png.npz"]
     assert result.output.count("expected true depth of both panoramas") == 2
     assert "broken: " in result.output

@@ -8,7 +8,7 @@ from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import epipole_frame, forward_frame, sweep_directions
 from omnisyn_cli.networks.paper import UNIT_STEP_POSE
-from omnisyn_cli.training.data import Batch, draw_batch, list_pool
+from omnisyn_cli.training.data import Batch, draw_batch, list_scene_files
 from omnisyn_cli.training.triples import EPIPOLE_FROM_FORWARD, forward_batch
 
 
@@ -23,7 +23,7 @@ def test_the_rotation_between_both_frames_is_the_same_for_every_pair():
 @pytest.mark.parametrize("size", [(64, 128), (64, 64), (32, 64)])
 def test_every_turned_pair_is_photoconsistent_straight_ahead(tmp_path, size):
     """The root leads to the same colour in the second image, whose camera stands a baseline ahead."""
-    drawn = draw_batch(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 8, (size[0], 2 * size[0]))
+    drawn = draw_batch(list_scene_files(make_pool(tmp_path)), np.random.default_rng(0), 8, (size[0], 2 * size[0]))
     batch = forward_batch(drawn, size)
     assert batch.first.shape == batch.second.shape == (8, 3, *size)
     assert batch.sqrt_inv_depth.shape == (8, 1, *size)

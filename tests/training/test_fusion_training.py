@@ -22,9 +22,9 @@ from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.data import WINDOW_DIVISOR, load_samples, window_columns
 from omnisyn_cli.training.fusion_losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
-from omnisyn_cli.training.fusion_pool import (
-    FusionPoolConfig,
+from omnisyn_cli.training.fusion_scenes import (
     FusionSample,
+    FusionSceneConfig,
     draw_fusion,
     load_fusion,
     make_fusion_scene,
@@ -43,7 +43,7 @@ SIZE = (32, 64)
 def pool(tmp_path_factory):
     """Two scenes of two places each, matched at a small size."""
     folder = tmp_path_factory.mktemp("fusion")
-    config = FusionPoolConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
+    config = FusionSceneConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
     paths = [make_fusion_scene(folder, seed, config) for seed in (0, 1)]
     return [path for path in paths if path is not None]
 
@@ -131,7 +131,9 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
 
 def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
     size = (64, 128)
-    path = make_fusion_scene(tmp_path, 1, FusionPoolConfig(size=size, views_between=2, matched_share=1.0, rows=size[0]))
+    path = make_fusion_scene(
+        tmp_path, 1, FusionSceneConfig(size=size, views_between=2, matched_share=1.0, rows=size[0])
+    )
     samples = load_samples(path, FusionSample)
     small, large = ([s for s in samples if s.channels.shape[1:] == each] for each in ((32, 64), size))
     assert len(small) == len(large) == 2
@@ -141,7 +143,7 @@ def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
 
 
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
-    config = FusionPoolConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
+    config = FusionSceneConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
     again = make_fusion_scene(tmp_path, int(pool[0].stem), config)
     for one, other in zip(load_samples(pool[0], FusionSample), load_samples(again, FusionSample), strict=True):
         np.testing.assert_array_equal(one.channels, other.channels)
@@ -248,7 +250,7 @@ def test_a_network_is_trained_and_published(tmp_path, pool, config):
 
 def test_scenes_are_made_with_the_depth_and_the_renderer_of_a_preset(pool, tmp_path):
     """The paper's leaves more open than matching does: its surfaces end where depth steps by two metres."""
-    config = FusionPoolConfig(size=SIZE, views_between=2, preset="paper", matched_share=0.0, known_share=0.0)
+    config = FusionSceneConfig(size=SIZE, views_between=2, preset="paper", matched_share=0.0, known_share=0.0)
     made = make_fusion_scene(tmp_path, int(pool[0].stem), config)
     for one, other in zip(load_samples(pool[0], FusionSample), load_samples(made, FusionSample), strict=True):
         np.testing.assert_array_equal(one.truth, other.truth)

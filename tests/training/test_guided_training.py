@@ -12,7 +12,7 @@ from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction, feature_directions
-from omnisyn_cli.training.data import Augmentation, list_pool
+from omnisyn_cli.training.data import Augmentation, list_scene_files
 from omnisyn_cli.training.guided_depth import (
     GuidedBatch,
     draw_guided,
@@ -41,7 +41,7 @@ def warped(batch, factor):
 @pytest.mark.parametrize("augmentation", [None, Augmentation(0, 0, 0, 0, 0, 0)], ids=["exact", "held by hand"])
 def test_what_is_drawn_is_a_pair_its_geometry_and_its_truth(tmp_path, augmentation):
     """The second picture, warped by the true depth, is the first one; by others it is not."""
-    pool = list_pool(make_walks(tmp_path, 4), "recipe")
+    pool = list_scene_files(make_walks(tmp_path, 4), "recipe")
     batch = draw_guided(pool, np.random.default_rng(0), 8, (64, 128), 2.0, augmentation)
     errors = {factor: float((warped(batch, factor) - batch.first).abs().mean()) for factor in (0.9, 1.0, 1.1)}
     assert errors[1.0] < (0.006 if augmentation is None else 0.02)
@@ -51,7 +51,7 @@ def test_what_is_drawn_is_a_pair_its_geometry_and_its_truth(tmp_path, augmentati
 
 
 def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(tmp_path):
-    pool = list_pool(make_walks(tmp_path, 2), "recipe")
+    pool = list_scene_files(make_walks(tmp_path, 2), "recipe")
     one, same = (draw_guided(pool, np.random.default_rng(7), 2, (32, 64), 2.0, Augmentation()) for _ in range(2))
     for name, value in vars(one).items():
         assert torch.equal(value, getattr(same, name)), name
@@ -64,7 +64,7 @@ def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(
 def test_narrow_and_wide_pairs_are_drawn_equally_often(tmp_path):
     along = [(0, 0, 0), (0.2, 0, 0), (0.3, 0, 0), (0.4, 0, 0), (1.8, 0, 0)]
     save_walk(tmp_path / "0.npz", ball_walk(positions=along, radius=2.5))
-    drawn = draw_guided(list_pool(tmp_path, "recipe"), np.random.default_rng(0), 300, (64, 128), 2.0)
+    drawn = draw_guided(list_scene_files(tmp_path, "recipe"), np.random.default_rng(0), 300, (64, 128), 2.0)
     bins = [baseline_bin(float(ratio)) for ratio in drawn.ratio]
     shares = {name: bins.count(name) / 300 for name in BASELINE_BINS if name in bins}
     assert all(share == pytest.approx(1 / len(shares), abs=0.1) for share in shares.values())
@@ -183,7 +183,7 @@ def test_nothing_is_consistent_that_the_other_camera_cannot_see():
 
 
 def test_pairs_are_shown_with_guidance_as_often_as_asked_for(tmp_path):
-    pool = list_pool(make_walks(tmp_path, 2), "recipe")
+    pool = list_scene_files(make_walks(tmp_path, 2), "recipe")
     batch = draw_guided(pool, np.random.default_rng(0), 40, (32, 64), 2.0, None, 0.5)
     is_guided = batch.guidance.flatten(1).any(dim=1)
     assert 10 <= int(is_guided.sum()) <= 30

@@ -25,7 +25,7 @@ from omnisyn_cli.training.adversarial import (
     feature_loss,
 )
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
-from omnisyn_cli.training.data import PoolScene, list_pool, load_scene
+from omnisyn_cli.training.data import TrainingScene, list_scene_files, load_scene
 from omnisyn_cli.training.loop import TrainConfig, open_trainer, train
 from omnisyn_cli.training.synsin import ViewSample, draw_views, view_sample
 
@@ -62,7 +62,7 @@ def test_the_points_of_a_sample_are_where_its_truth_shows_them(up, heading):
 
 
 def test_samples_drawn_at_random_stay_consistent_when_mirrored_and_turned(tmp_path):
-    pool = list_pool(make_pool(tmp_path, size=(128, 256)))
+    pool = list_scene_files(make_pool(tmp_path, size=(128, 256)))
     samples = draw_views(pool, np.random.default_rng(0), 12, (64, 128))
     assert [len(sample.images) for sample in samples] == [1, 2] * 6
     for sample in samples:
@@ -76,7 +76,7 @@ def test_the_world_is_upright_in_a_sample():
     scene = ball_scene(0)
     above = (pixel_directions(64, 128) @ up > 0)[None, ..., None]
     images = np.broadcast_to(np.where(above, 255, 0), scene.images.shape).astype(np.uint8)
-    sample = view_sample(PoolScene(images, scene.inverse_depth, scene.along, up), 0, (1,), (64, 128), heading=1.0)
+    sample = view_sample(TrainingScene(images, scene.inverse_depth, scene.along, up), 0, (1,), (64, 128), heading=1.0)
     assert sample.truth[:, :30].min() > 0.9
     assert sample.truth[:, 34:].max() < 0.1
     assert sample.target_from_sources[0].position[1] == pytest.approx(0.5 * scene.along[1])
@@ -121,7 +121,7 @@ def test_what_the_discriminator_says_teaches_the_networks_but_not_the_truth(conf
     discriminator = PatchDiscriminator(widths=(4, 6), scales=1)
     torch.manual_seed(0)
     network = SynSinNetwork(TINY)
-    samples = draw_views(list_pool(Path(config.pool)), np.random.default_rng(0), 2, config.size)
+    samples = draw_views(list_scene_files(Path(config.pool)), np.random.default_rng(0), 2, config.size)
     early, late = (synsin.adversarial_losses(network, discriminator.eval(), samples, step)[0] for step in (0, 10**6))
     made = synsin.render_pictures(network, samples)
     torch.testing.assert_close(early, synsin.reconstruction_loss(made, samples))
@@ -136,7 +136,7 @@ def test_what_the_discriminator_says_teaches_the_networks_but_not_the_truth(conf
 
 def test_the_discriminators_own_loss_does_not_teach_the_networks(config):
     network, discriminator = SynSinNetwork(TINY), PatchDiscriminator(widths=(4, 6), scales=1)
-    samples = draw_views(list_pool(Path(config.pool)), np.random.default_rng(0), config.batch, config.size)
+    samples = draw_views(list_scene_files(Path(config.pool)), np.random.default_rng(0), config.batch, config.size)
     synsin.adversarial_losses(network, discriminator, samples, 0)[1].backward()
     assert all(parameter.grad is None for parameter in network.parameters())
     assert all(parameter.grad is not None for parameter in discriminator.parameters())
@@ -189,7 +189,7 @@ def test_a_fresh_discriminator_only_watches_at_first_also_where_a_run_goes_on(tm
     path = tmp_path / "new" / "checkpoint.pt"
     save_checkpoint(path, late)
     trainer = open_trainer(TINY, config, path)
-    pool = list_pool(Path(config.pool))
+    pool = list_scene_files(Path(config.pool))
     samples = draw_views(pool, np.random.default_rng([config.seed, 10**6]), config.batch, config.size)
     own = float(synsin.reconstruction_loss(synsin.render_pictures(trainer.network, samples), samples).detach())
     assert trainer.advance(pool) == pytest.approx(own, rel=1e-5)

@@ -7,7 +7,7 @@ from omnisyn_cli.networks.completion import CompletionConfig, CompletionNetwork
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperNetwork
 from omnisyn_cli.networks.synsin import FeatureEncoder, MonocularNetwork, RefinementDecoder, SynSinConfig
-from omnisyn_cli.training.data import list_pool
+from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.loop import TrainConfig, Trainer
 from omnisyn_cli.training.precision import BF16_INSTRUCTIONS, Precision, choose_precision
 
@@ -62,7 +62,7 @@ def test_bfloat16_gives_finite_gradients_and_nearly_the_same_loss(tmp_path):
     losses = []
     for precision in (Precision(torch.device("cpu")), HALF):
         trainer = Trainer(TINY, config, precision)
-        losses.append(trainer.advance(list_pool(folder)))
+        losses.append(trainer.advance(list_scene_files(folder)))
         for name, parameter in trainer.network.named_parameters():
             assert parameter.dtype == torch.float32
             assert parameter.grad is None or torch.all(torch.isfinite(parameter.grad)), name
@@ -109,9 +109,9 @@ def test_a_run_goes_on_with_another_precision(tmp_path):
     folder = make_pool(tmp_path)
     config = TrainConfig(str(folder), str(folder), size=(64, 128), batch=1)
     half, single = Trainer(TINY, config, HALF), Trainer(TINY, config)
-    half.advance(list_pool(folder))
+    half.advance(list_scene_files(folder))
     single.restore(half.state())
     for one, other in zip(single.network.parameters(), half.network.parameters(), strict=True):
         assert torch.equal(one, other)
-    single.advance(list_pool(folder))
+    single.advance(list_scene_files(folder))
     assert single.step == 2

@@ -13,7 +13,7 @@ from omnisyn_cli.networks import guided_depth
 from omnisyn_cli.training import recipe_run
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.recipe import Recipe, Stage, read_recipe
-from omnisyn_cli.training.recipe_run import RecipeTrainer, WalkPool, train_recipe
+from omnisyn_cli.training.recipe_run import RecipeTrainer, WalkSchedule, train_recipe
 from omnisyn_cli.training.tasks import TASKS
 
 STAGES = (Stage(32, 2, 4, 1e-3, 5e-4), Stage(64, 1, 4, 4e-4, 0.0))
@@ -97,7 +97,7 @@ def test_another_machine_goes_on_with_new_scenes_and_warms_up(tmp_path):
 
 def test_scenes_come_soon_at_first_and_the_oldest_go():
     plan = Recipe("small", STAGES, first_walks=5, early_walks=10, steps_per_walk=10, most_walks=18)
-    pool = WalkPool(None, None, plan)
+    pool = WalkSchedule(None, None, plan)
     assert [len(pool.seeds_at(step)) for step in (0, 3, 30, 40)] == [5, 6, 18, 18]
     assert pool.seeds_at(60) == range(3, 21)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from depth_samples import TINY as TINY
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.training.data import PoolScene, save_scene
+from omnisyn_cli.training.data import TrainingScene, save_scene
 
 
 def ball_scene(seed=0, size=(64, 128), along=(0.0, 0.4, 1.0), radius=2.0):
@@ -24,7 +24,7 @@ def ball_scene(seed=0, size=(64, 128), along=(0.0, 0.4, 1.0), radius=2.0):
         colours = 0.5 + 0.12 * np.sin(np.einsum("hwi,cki->hwck", points, waves) + phases).sum(axis=-1)
         images.append((colours.clip(0, 1) * 255 + 0.5).astype(np.uint8))
         inverse_depths.append(1.0 / depth)
-    return PoolScene(np.stack(images), np.stack(inverse_depths), np.array(along, dtype=np.float32))
+    return TrainingScene(np.stack(images), np.stack(inverse_depths), np.array(along, dtype=np.float32))
 
 
 def make_pool(folder, scenes=2, **options):

@@ -7,6 +7,7 @@ import numpy as np
 from omnisyn_cli.compute.jit import kernel, subkernel
 
 NO_POINT = -1
+"""Index that says that no further point covers a pixel."""
 
 
 @kernel()
@@ -14,6 +15,16 @@ def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, po
     """Cosine and sine of the polar angle, column and inverse depth in the target, for source rows of points.
 
     Points that are masked or lie at the target's centre get a negative inverse depth.
+
+    Args:
+        rho: ``(height, width)`` inverse depth of the source, 1/metre.
+        mask: of the same shape; which pixels are points.
+        sin_p, cos_p: per source row, of the polar angle.
+        sin_a, cos_a: per source column, of the azimuth.
+        rotation, t: target camera from source camera; ``t`` in metres.
+        scale: of the target, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
+        points: written, ``(height, width, 4)``.
+        begin, end: source rows.
     """
     width = rho.shape[1]
     for row in range(begin, end):
@@ -83,7 +94,18 @@ def list_points(points, order, radius, sin_p, cos_p, found, begin, end):
 
 @kernel()
 def composite(points, found, features, radius, floor, sin_p, cos_p, out, begin, end):
-    """Blend the listed points from front to back; the last channel of ``out`` gets the opacity of all together."""
+    """Blend the listed points from front to back; the last channel of ``out`` gets the opacity of all together.
+
+    Args:
+        points: ``(points, 4)`` from :func:`project_points`.
+        found: ``(height, width, most)`` their indices, front to back, :data:`NO_POINT` after the last.
+        features: ``(points, channels)``.
+        radius: of the discs, radians.
+        floor: least squared distance from a disc's centre over its squared radius, which bounds the opacity below 1.
+        sin_p, cos_p: per target row, of the polar angle.
+        out: written, ``(height, width, channels + 1)``.
+        begin, end: target rows.
+    """
     width, most = found.shape[1], found.shape[2]
     channels = features.shape[1]
     largest = (2.0 * math.sin(0.5 * radius)) ** 2

@@ -11,7 +11,7 @@ from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.terminal import say
-from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
+from omnisyn_cli.cli.train_pools import convert, fusion_pool, matched_scenes, pool
 from omnisyn_cli.cli.train_recipe import recipe
 
 FOLDER = FilePath(file_okay=False)
@@ -28,7 +28,7 @@ def train() -> None:
     """Train the networks on generated scenes."""
 
 
-for command in (convert, evidence, fusion_pool, pool, recipe):
+for command in (convert, matched_scenes, fusion_pool, pool, recipe):
     train.add_command(command)
 
 

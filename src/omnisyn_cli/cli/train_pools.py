@@ -16,7 +16,7 @@ from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 FOLDER = FilePath(file_okay=False)
 
 POOL_MULTIPLE = 64
-"""Of the height of evidence and of renderings: twice what the networks need that learn from parts of them."""
+"""Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them."""
 
 
 def _height_option(of: str, height: int = 256) -> Callable[..., Any]:
@@ -48,10 +48,10 @@ WORKERS = click.option(
 @TEXTURES
 def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> None:
     """Render generated scenes into FOLDER; existing ones stay."""
-    from omnisyn_cli.training.pool import PoolConfig, render_to_pool
+    from omnisyn_cli.training.line_scenes import LineSceneConfig, render_line_scene
 
     chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
-    _fill(render_to_pool, PoolConfig(size=(height, 2 * height), views=views, **chosen), **options)
+    _fill(render_line_scene, LineSceneConfig(size=(height, 2 * height), views=views, **chosen), **options)
 
 
 @click.command()
@@ -76,7 +76,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
     from omnisyn_cli.evaluation.views import load_pair
-    from omnisyn_cli.training.pool import add_pair, pair_path
+    from omnisyn_cli.training.line_scenes import add_pair, pair_path
 
     choose = choose_pairs(pairs)
     for source in find_scenes(dataset, layout):
@@ -97,14 +97,14 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
                 say(path)
 
 
-@click.command()
+@click.command("evidence")
 @_scene_options(500, "view")
 @WORKERS
 @TEXTURES
-def evidence(height: int, **options: Any) -> None:
+def matched_scenes(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
-    from omnisyn_cli.training.evidence_pool import make_feature_scene
-    from omnisyn_cli.training.pool import TiltedConfig
+    from omnisyn_cli.training.feature_scenes import make_feature_scene
+    from omnisyn_cli.training.line_scenes import TiltedConfig
 
     _check_pool_height(height)
     _fill(make_feature_scene, TiltedConfig(size=(height, 2 * height)), **options)
@@ -123,10 +123,10 @@ def evidence(height: int, **options: Any) -> None:
 @TEXTURES
 def fusion_pool(height: int, preset: str, **options: Any) -> None:
     """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
-    from omnisyn_cli.training.fusion_pool import FusionPoolConfig, make_fusion_scene
+    from omnisyn_cli.training.fusion_scenes import FusionSceneConfig, make_fusion_scene
 
     _check_pool_height(height)
-    config = FusionPoolConfig(size=(height, 2 * height), preset=preset, rows=8 * height)
+    config = FusionSceneConfig(size=(height, 2 * height), preset=preset, rows=8 * height)
     _fill(make_fusion_scene, config, **options)
 
 
@@ -145,10 +145,10 @@ def _fill(
     from functools import partial
 
     from omnisyn_cli.io import list_photographs
-    from omnisyn_cli.training.pool import fill_pool
+    from omnisyn_cli.training.line_scenes import make_scene_files
 
     if textures is not None:
         list_photographs(textures)  # there are some
         config = replace(config, textures=str(textures.absolute()))
-    for path in fill_pool(folder, range(seed, seed + scenes), partial(make, config=config), workers=workers):
+    for path in make_scene_files(folder, range(seed, seed + scenes), partial(make, config=config), workers=workers):
         say(path)

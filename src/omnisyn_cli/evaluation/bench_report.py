@@ -58,11 +58,11 @@ def bench_tables(measured: Sequence[Figures]) -> list[Table]:
 
 
 def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
-    usual = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
+    reference = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
     columns = {
         WS_PSNR: _ws_psnr,
-        Column(f"against {usual.setting.method}, dB", 1): lambda f: gain(f, usual)[0],
-        Column("± dB", 0): lambda f: gain(f, usual)[1],
+        Column(f"against {reference.setting.method}, dB", 1): lambda f: gain(f, reference)[0],
+        Column("± dB", 0): lambda f: gain(f, reference)[1],
         Column(f"{STANDARD_FRAMES} frames, s", -1, 1): standard_seconds,
         Column("First frame, s", -1, 1): first_seconds,
         Column("Each further frame, s", -1, 3): frame_seconds,
@@ -77,7 +77,7 @@ def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
         for f in sorted(measured, key=standard_seconds)
     )
     note = (
-        f"Mean of {len(usual.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
+        f"Mean of {len(reference.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
         f"{FRONT_MARK}: nothing else is both faster and more accurate. Seconds are of computing, of one core."
     )
     return Table(f"What settings cost and are worth, {size[1]}x{size[0]}", note, "Setting", tuple(columns), rows)

@@ -242,8 +242,8 @@ class _UnitRunner:
             )
             try:
                 ingredients = [method.name, *method.ingredients()]
-                looked_at = pair if method.is_in_tour else replace(pair, before=None, after=None)
-                blank = replace(blank, key=self._fingerprints.of(looked_at, ingredients, self._options))
+                method_pair = pair if method.is_in_tour else replace(pair, before=None, after=None)
+                blank = replace(blank, key=self._fingerprints.of(method_pair, ingredients, self._options))
             except InputError as error:
                 yield replace(blank, reason=one_line(error))
                 continue

@@ -162,7 +162,7 @@ def _reliability(records: Sequence[UnitRecord]) -> Figure | None:
     return figure
 
 
-def pareto_plot(measured: Sequence[Figures], usual_method: str) -> bytes | None:
+def pareto_plot(measured: Sequence[Figures], reference_method: str) -> bytes | None:
     """Accuracy against the computing of a standard clip as a PNG file: a line along the front, full points on it.
 
     Bars are the standard error of the difference to the default, from pair to pair. None where no setting has an
@@ -174,9 +174,9 @@ def pareto_plot(measured: Sequence[Figures], usual_method: str) -> bytes | None:
     figure, axes = _new_figure(len(rated), FIGURE_HEIGHT + 0.8)
     front = pareto_front(rated)
     axes.plot([standard_seconds(f) for f in front], [quality(f) for f in front], color="0.6", zorder=1)
-    usual = next((f for f in rated if f.setting.method == usual_method), rated[0])
+    reference = next((f for f in rated if f.setting.method == reference_method), rated[0])
     for index, figures in enumerate(rated):
-        error = gain(figures, usual)[1]
+        error = gain(figures, reference)[1]
         style = {**_style(index), "markerfacecolor": _colour(index) if figures in front else "white"}
         label = (
             f"{figures.setting.method.removeprefix('omnisyn-')}, {figures.setting.size[1]}x{figures.setting.size[0]}"

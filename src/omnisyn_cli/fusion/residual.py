@@ -43,7 +43,7 @@ def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Flo
 class ResidualFusionNetwork(Protocol):
     """A trained residual fusion network, in whatever runtime."""
 
-    def __call__(self, planes: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
+    def __call__(self, channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
         """Blend weights of the warp candidates, given the channels that :class:`InputBuilder` makes."""
         ...
 

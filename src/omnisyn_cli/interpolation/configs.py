@@ -106,7 +106,7 @@ def _fusion(job: InterpolationJob, kind: str, defaults: RunConfig) -> str:
 def _on_gpu(config: RunConfig, job: InterpolationJob) -> RunConfig:
     """With frames on the GPU if it does all that is asked for; by rules where only the preset has a network correct."""
     by_rules = replace(config, fusion="geometric")
-    wanted = by_rules if job.fusion == "auto" and config.fusion_strategy.corrects_rules else config
+    wanted = by_rules if job.fusion == "auto" and config.fusion_strategy.is_residual else config
     return config if _against_gpu(wanted) else replace(wanted, is_on_gpu=True)
 
 

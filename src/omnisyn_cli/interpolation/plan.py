@@ -46,7 +46,7 @@ FLAT_SIZE = (1080, 1920)
 DEFAULT_FOV = math.radians(90.0)
 """Of a flat video."""
 
-MAX_USUAL_BASELINE_METRES = 100.0
+MAX_PLAUSIBLE_BASELINE_METRES = 100.0
 """Farther apart, panoramas have nothing in common: more is worth a note."""
 
 LIKELY_SIZE = (512, 1024)
@@ -448,7 +448,7 @@ def _notes_about_pictures(job: TourJob) -> Iterator[str]:
 def _notes_about_baselines(plan: TourPlan) -> Iterator[str]:
     for a, b in plan.pairs:
         metres = math.dist(plan.entries[a].pose.position, plan.entries[b].pose.position)
-        if metres > MAX_USUAL_BASELINE_METRES:
+        if metres > MAX_PLAUSIBLE_BASELINE_METRES:
             names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
             yield f"{names} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
 

@@ -82,7 +82,7 @@ class DepthStrategy:
         model: name in the manifest of its network where no preset names one.
         program_bytes: memory of the program, before pictures.
         network_bytes: memory of the network for each pixel of the coarsest surface.
-        finding_bytes: memory that is given back when depth was found and both surfaces were made.
+        estimation_bytes: memory that is given back when depth was found and both surfaces were made.
         refining_bytes: memory for each pixel of the finest surface while depth is refined from size to size.
     """
 
@@ -96,7 +96,7 @@ class DepthStrategy:
     model: str | None = None
     program_bytes: float = PROGRAM_BYTES
     network_bytes: float = 0.0
-    finding_bytes: float = 110e6
+    estimation_bytes: float = 110e6
     refining_bytes: float = 0.0
 
     @property
@@ -113,10 +113,10 @@ class DepthStrategy:
         """Whether depth comes to its size step by step."""
         return self.refining_bytes > 0.0 and len(grids) > 1
 
-    def bytes_of_finding(self, grids: Sequence[Size]) -> float:
+    def bytes_of_estimation(self, grids: Sequence[Size]) -> float:
         """Memory that is given back when depth was found."""
         vertices = max(height * width for height, width in grids)
-        return self.finding_bytes + (self.refining_bytes * vertices if self.refines(grids) else 0.0)
+        return self.estimation_bytes + (self.refining_bytes * vertices if self.refines(grids) else 0.0)
 
 
 def _file_sizes(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
@@ -175,7 +175,7 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = MappingProxyType({
     for source in (
         DepthStrategy(
             "file", "depth files named in the poses", _make_files, _file_sizes, reads_files=True, program_bytes=275e6,
-            finding_bytes=0.0,
+            estimation_bytes=0.0,
         ),
         DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
         DepthStrategy(

@@ -49,7 +49,7 @@ class FusionStrategy:
         model: name in the manifest of its network; None has none.
         network_bytes: memory of the network for a frame of so many pixels.
         by_rules: whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled.
-        corrects_rules: whether a network corrects that rule; on a GPU the rule alone does then.
+        is_residual: whether a network corrects that rule; on a GPU the rule alone does then.
         runs_on_gpu: whether a GPU does it.
     """
 
@@ -59,7 +59,7 @@ class FusionStrategy:
     model: str | None = None
     network_bytes: Callable[[int], float] = lambda pixels: 0.0
     by_rules: bool = True
-    corrects_rules: bool = False
+    is_residual: bool = False
     runs_on_gpu: bool = False
 
 
@@ -91,7 +91,7 @@ FUSIONS: Mapping[str, FusionStrategy] = MappingProxyType({
         FusionStrategy("geometric", "a visibility rule", _make_geometric, runs_on_gpu=True),
         FusionStrategy(
             "network", "the rule, corrected by a network", _make_residual, "fusion-residual",
-            network_bytes=lambda pixels: 50e6, corrects_rules=True,
+            network_bytes=lambda pixels: 50e6, is_residual=True,
         ),
         FusionStrategy(
             "painting", "a network, as in the paper", _make_direct, "fusion-paper-narrow",

@@ -83,15 +83,15 @@ def _make_surfaces(parts: MethodParts) -> Method:
 
 
 def _make_crossfade(parts: MethodParts) -> Method:
-    from omnisyn_cli.baselines.fades import CrossFades
+    from omnisyn_cli.baselines.cross_fade import CrossFadeMethod
 
-    return CrossFades(parts.options, parts.clock)
+    return CrossFadeMethod(parts.options, parts.clock)
 
 
 def _make_flow(parts: MethodParts) -> Method:
-    from omnisyn_cli.baselines.fades import FlowFades
+    from omnisyn_cli.baselines.cross_fade import FlowMethod
 
-    return FlowFades(parts.options, parts.clock)
+    return FlowMethod(parts.options, parts.clock)
 
 
 def _make_synsin(parts: MethodParts, *, sources: int) -> Method:

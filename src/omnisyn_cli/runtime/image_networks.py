@@ -41,9 +41,9 @@ class ResidualFusionSession:
     def __init__(self, session: Any) -> None:
         self._session = _checked(session, "shares")
 
-    def __call__(self, planes: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
+    def __call__(self, channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
         """Shares of four candidates."""
-        return _answer(self._session, planes, 4)
+        return _answer(self._session, channels, 4)
 
 
 class DirectFusionSession:
@@ -52,13 +52,13 @@ class DirectFusionSession:
     def __init__(self, session: Any) -> None:
         self._session = _checked(session, "colour")
 
-    def __call__(self, planes: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
+    def __call__(self, channels: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
         """The picture, not bounded."""
-        return _answer(self._session, planes, 3)
+        return _answer(self._session, channels, 3)
 
 
-def _answer(session: Any, planes: np.ndarray, channels: int) -> np.ndarray:
-    (answer,) = run_network(session, {"planes": planes[None]}, ((1, channels, *planes.shape[1:]),))
+def _answer(session: Any, channels: np.ndarray, out_channels: int) -> np.ndarray:
+    (answer,) = run_network(session, {"planes": channels[None]}, ((1, out_channels, *channels.shape[1:]),))
     return np.asarray(answer[0])
 
 

@@ -191,8 +191,8 @@ def _is_left_right_consistent(
     disparity changes a lot from row to row. So the other map is interpolated, unless an edge lies between the rows.
     """
     out = np.empty(disparity.shape, np.bool_)
-    exchanged = swap_cameras_in_epipole_frame(other)
-    run_ranges(partial(_check_left_right_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
+    swapped = swap_cameras_in_epipole_frame(other)
+    run_ranges(partial(_check_left_right_rows, disparity, swapped, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
     return out
 
 

@@ -128,7 +128,7 @@ def _upsample_rows(low, low_guide, guide, rows, cols, out, begin, end):  # type:
                     for i in range(3):
                         difference += abs(low_guide[r0 + k // side, c0 + k % side, i] - guide[row, col, i])
                     weight[k] *= np.exp(-UPSAMPLE_COLOUR_DECAY * difference)
-            out[row, col] = _mean_near_median(value, weight, _weighted_median(value, weight, least, greatest))
+            out[row, col] = _inlier_mean(value, weight, _weighted_median(value, weight, least, greatest))
 
 
 @inlined()
@@ -154,7 +154,7 @@ def _weighted_median(value, weight, least, greatest):  # type: ignore[no-untyped
 
 
 @inlined()
-def _mean_near_median(value, weight, median):  # type: ignore[no-untyped-def]
+def _inlier_mean(value, weight, median):  # type: ignore[no-untyped-def]
     """The weighted mean of the values on the surface of the median; the nearest value if there are none."""
     total, mean = np.float32(0.0), np.float32(0.0)
     nearest, gap = value[0], np.float32(np.inf)

@@ -48,7 +48,7 @@ together with vectorised loops.)"""
 PATH_PADDING = np.uint64(2)
 """Entries of :data:`UNREACHABLE_COST` before and after a path's costs, so that neighbours need no bounds check."""
 
-UNSIGNED_ONE, UNSIGNED_TWO = np.uint64(1), np.uint64(2)
+INDEX_ONE, INDEX_TWO = np.uint64(1), np.uint64(2)
 """Typed, because an index without a sign is not tested for counting from the end, so its loop vectorises."""
 
 
@@ -130,7 +130,7 @@ def aggregate_costs(
     total = np.zeros(len(cost), np.uint16)
     for slope in (-1, 0, 1):
         for is_down in (True, False):
-            run_ranges(partial(_aggregate_meridians, inputs, total, slope, is_down), -(-width // PATHS_PER_GROUP))
+            run_ranges(partial(_aggregate_columns, inputs, total, slope, is_down), -(-width // PATHS_PER_GROUP))
     run_ranges(partial(_aggregate_rows, inputs, total), height)
     return total
 
@@ -172,7 +172,7 @@ def uniqueness_margin(
 
 
 @fast_kernel()
-def _aggregate_meridians(inputs, total, slope, is_down, begin, end):  # type: ignore[no-untyped-def]
+def _aggregate_columns(inputs, total, slope, is_down, begin, end):  # type: ignore[no-untyped-def]
     """Adds up paths along meridians (``slope`` 0) or diagonals (``slope`` columns per row), some groups of columns."""
     height, width = inputs.lowest.shape
     offsets, lowest, luminance = inputs.offsets, inputs.lowest, inputs.luminance
@@ -251,25 +251,25 @@ def _extend_path(cost, previous, length, current, shift, p1, p2, cheapest, sums)
         cheapest: least path cost at the pixel before; subtracted, so that costs stay bounded.
         sums: the path costs are added to these.
     """
-    count, least, jump = len(cost), UNREACHABLE_COST, np.uint16(cheapest + p2)
-    # Disparities from `first` to `last` have a neighbour in the range before; the others are only reached by a jump.
+    count, least, large_step = len(cost), UNREACHABLE_COST, np.uint16(cheapest + p2)
+    # Disparities from `first` to `last` have a neighbour in the range before; others are only reached by a large step.
     first = min(max(0, -1 - shift), count)
     last = max(first, min(count, length + 1 - shift))
     for k in range(np.uint64(first)):
-        value = np.uint16(cost[k] + p2)  # a jump costs `cheapest + p2`, less the `cheapest` that is subtracted
-        current[k + UNSIGNED_TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
+        value = np.uint16(cost[k] + p2)  # a large step costs `cheapest + p2`, less the `cheapest` that is subtracted
+        current[k + INDEX_TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
     for k in range(np.uint64(last), np.uint64(count)):
         value = np.uint16(cost[k] + p2)
-        current[k + UNSIGNED_TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
+        current[k + INDEX_TWO], sums[k], least = value, np.uint16(sums[k] + value), _smaller(least, value)
     begin, source = np.uint64(first), np.uint64(first + shift + 1)
     for k in range(np.uint64(last - first)):
         below, to = source + k, begin + k  # in `previous`, `below` is one row less, `below + ONE` the same disparity
-        step = np.uint16(_smaller(previous[below], previous[below + UNSIGNED_TWO]) + p1)
-        best = _smaller(_smaller(previous[below + UNSIGNED_ONE], jump), step)
+        step = np.uint16(_smaller(previous[below], previous[below + INDEX_TWO]) + p1)
+        best = _smaller(_smaller(previous[below + INDEX_ONE], large_step), step)
         value = np.uint16(np.uint16(cost[to] + best) - cheapest)
-        current[to + UNSIGNED_TWO], sums[to], least = value, np.uint16(sums[to] + value), _smaller(least, value)
+        current[to + INDEX_TWO], sums[to], least = value, np.uint16(sums[to] + value), _smaller(least, value)
     end = np.uint64(count) + PATH_PADDING
-    current[end] = current[end + UNSIGNED_ONE] = UNREACHABLE_COST  # the buffer may hold a longer range from before
+    current[end] = current[end + INDEX_ONE] = UNREACHABLE_COST  # the buffer may hold a longer range from before
     return least
 
 

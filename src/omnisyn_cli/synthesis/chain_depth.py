@@ -1,8 +1,8 @@
-"""Depth along a tour: what all neighbours of a panorama say of it, joined to one estimate.
+"""Depth along a chain: the estimates with all neighbours of a panorama, fused to one.
 
 A panorama inside a chain is compared with the one before it and with the one after it; at a crossing there are more.
 Each comparison is blind towards its neighbour and away from it, and behind things each neighbour sees something else.
-What all found is joined once and serves the frames on all sides.
+All estimates are fused once, and the result serves the frames on all sides.
 
 Where they agree the mean is taken, weighted by confidence and by how exactly each could measure: parallax grows with
 the distance of a neighbour times the sine of the angle to it. Where they contradict each other the more confident one
@@ -81,23 +81,23 @@ class PairDepth:
         )
 
 
-def fuse_depth(*opinions: PairDepth) -> DepthEstimate:
-    """All opinions of a panorama as one estimate, of the size of the largest; their order changes nothing.
+def fuse_depth(*pair_depths: PairDepth) -> DepthEstimate:
+    """All estimates for a panorama as one, of the size of the largest; their order changes nothing.
 
-    Where they contradict each other, those that agree with the likeliest one are joined.
+    Where they contradict each other, those that agree with the likeliest one are fused.
     """
-    size = max(opinion.depth.inverse_depth.shape for opinion in opinions)
-    depths = [_enlarged(opinion.depth, size) for opinion in opinions]
-    order = [(depth.confidence * _likeness(depth, opinions), depth.inverse_depth) for depth in depths]
+    size = max(pair_depth.depth.inverse_depth.shape for pair_depth in pair_depths)
+    depths = [_enlarged(pair_depth.depth, size) for pair_depth in pair_depths]
+    order = [(depth.confidence * _likeness(depth, pair_depths), depth.inverse_depth) for depth in depths]
     _, likeliest = reduce(_likelier, order)
-    is_joined = [_agree(likeliest, depth.inverse_depth) for depth in depths]
-    joined = list(zip(is_joined, opinions, depths, strict=True))
-    far = reduce(np.minimum, [np.where(is_in, depth.inverse_depth, np.inf) for is_in, _, depth in joined])
-    weights = [np.where(is_in, depth.confidence * one.exactness(size), 0.0) for is_in, one, depth in joined]
+    is_fused = [_agree(likeliest, depth.inverse_depth) for depth in depths]
+    fused = list(zip(is_fused, pair_depths, depths, strict=True))
+    far = reduce(np.minimum, [np.where(is_in, depth.inverse_depth, np.inf) for is_in, _, depth in fused])
+    weights = [np.where(is_in, depth.confidence * one.exactness(size), 0.0) for is_in, one, depth in fused]
     total = reduce(np.add, weights)
     beyond = [weight * (depth.inverse_depth - far) for weight, depth in zip(weights, depths, strict=True)]
     inverse_depth = far + reduce(np.add, beyond) / np.where(total > 0.0, total, 1.0)
-    confidence = reduce(np.maximum, [np.where(is_in, depth.confidence, 0.0) for is_in, _, depth in joined])
+    confidence = reduce(np.maximum, [np.where(is_in, depth.confidence, 0.0) for is_in, _, depth in fused])
     return DepthEstimate(inverse_depth.astype(np.float32), confidence.astype(np.float32))
 
 
@@ -115,11 +115,11 @@ def _agree(rho: np.ndarray, other_rho: np.ndarray) -> np.ndarray:
     return np.asarray(near - np.minimum(rho, other_rho) <= SAME_POINT_TOLERANCE * near)
 
 
-def _likeness(depth: DepthEstimate, opinions: Sequence[PairDepth]) -> Float32[np.ndarray, "height width"]:
+def _likeness(depth: DepthEstimate, pair_depths: Sequence[PairDepth]) -> Float32[np.ndarray, "height width"]:
     """How well colours fit to an estimate in the neighbour where they fit best, in (0, 1]."""
-    reduced = subsample_depth(depth, opinions[0].image.shape[:2]).inverse_depth
-    reduced = resized_to(reduced, opinions[0].image.shape[:2], cv2.INTER_NEAREST)
-    mismatch = reduce(np.minimum, [opinion.mismatch(reduced) for opinion in opinions])
+    reduced = subsample_depth(depth, pair_depths[0].image.shape[:2]).inverse_depth
+    reduced = resized_to(reduced, pair_depths[0].image.shape[:2], cv2.INTER_NEAREST)
+    mismatch = reduce(np.minimum, [pair_depth.mismatch(reduced) for pair_depth in pair_depths])
     return resized_to(
         np.exp(-mismatch / np.float32(COLOUR_MISMATCH_SCALE)), depth.inverse_depth.shape, cv2.INTER_NEAREST
     )
@@ -172,9 +172,9 @@ class ChainDepth:
     def _of(self, view: int) -> DepthEstimate:
         if view not in self._known:
             others = [link[1] if link[0] == view else link[0] for link in self.links if view in link]
-            opinions = [opinion for other in others if (opinion := self._pair_depth(view, other)) is not None]
+            pair_depths = [pair_depth for other in others if (pair_depth := self._pair_depth(view, other)) is not None]
             with self._clock("depth"):
-                self._known[view] = opinions[0].depth if len(opinions) == 1 else fuse_depth(*opinions)
+                self._known[view] = pair_depths[0].depth if len(pair_depths) == 1 else fuse_depth(*pair_depths)
             for other in others:
                 del self._pair_depths[view, other]
         return self._known[view]

@@ -1,7 +1,7 @@
 """What makes frames: a :class:`Method` is made ready for a pair of views, the :class:`Pair` shows what lies between.
 
 The paper's method, the one of this program, is :class:`SurfaceMethod`; others to compare it with are
-:mod:`omnisyn_cli.baselines.synsin` and :mod:`omnisyn_cli.baselines.fades`.
+:mod:`omnisyn_cli.baselines.synsin` and :mod:`omnisyn_cli.baselines.cross_fade`.
 """
 
 from __future__ import annotations
@@ -86,13 +86,13 @@ class SurfaceMethod:
     ) -> None:  # fmt: skip
         self.estimator, self.options, self.clock = estimator, options, clock or Stopwatch()
         self._fuser, self._device = fuser or GeometricFuser(options.size, threads=options.threads), device
-        self._tour: ChainDepth | None = None
+        self._chain: ChainDepth | None = None
 
     def depths_of(self, views: Sequence[View]) -> ChainDepth:
         """The depth of a chain, which remembers what the next pair needs as long as no other chain is asked for."""
-        if self._tour is None or self._tour.views is not views:
-            self._tour = ChainDepth(views, self.estimator, self.clock, self.options.threads)
-        return self._tour
+        if self._chain is None or self._chain.views is not views:
+            self._chain = ChainDepth(views, self.estimator, self.clock, self.options.threads)
+        return self._chain
 
     def prepare(self, index: int, views: Sequence[View]) -> SurfacePair:
         """Find the depth of both and make their surfaces."""

@@ -88,29 +88,29 @@ class PreparedPair:
 
 
 def measure_pair(
-    index: int, tour: ChainDepth, options: SynthesisOptions, clock: Stopwatch
+    index: int, chain: ChainDepth, options: SynthesisOptions, clock: Stopwatch
 ) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
     """The depth of both views of the pair number ``index``, and what they say of each other through it.
 
     Where both views stand at one place depth is not looked for.
     """
-    first, second = (tour.views[view] for view in tour.links[index])
+    first, second = (chain.views[view] for view in chain.links[index])
     if at_same_position(first.pose, second.pose):
         with clock("depth"):
             depths = _depths_in_place(first, second, options)
     else:
-        depths = tour(index)
+        depths = chain(index)
     with clock("check"):
         return depths, cross_check((first, second), depths, options.cut, options.threads)
 
 
 def prepare_pair(
-    index: int, tour: ChainDepth, options: SynthesisOptions, clock: Stopwatch, device: GpuFrames | None = None
+    index: int, chain: ChainDepth, options: SynthesisOptions, clock: Stopwatch, device: GpuFrames | None = None
 ) -> PreparedPair:
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
-    depths, check = measure_pair(index, tour, options, clock)
-    first_view, second_view = tour.links[index]
-    whole = tour.views[first_view], tour.views[second_view]
+    depths, check = measure_pair(index, chain, options, clock)
+    first_view, second_view = chain.links[index]
+    whole = chain.views[first_view], chain.views[second_view]
     is_soft = options.soften and check.confidence.score < MIN_PAIR_SCORE
     is_soft = is_soft and not at_same_position(whole[0].pose, whole[1].pose) and is_enclosed(whole, depths)
     with clock("mesh"):

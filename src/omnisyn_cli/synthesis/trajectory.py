@@ -63,8 +63,8 @@ def plan_path(
     if frames < len(poses):
         raise ValueError(f"expected at least one frame per panorama ({len(poses)}), got {frames}")
     where = _places(_segment_lengths(poses), frames, ease)
-    segments = np.minimum(where.astype(int), len(poses) - 2)
-    return [w for k in range(len(poses) - 1) for w in _waypoints(poses, k, where[segments == k] - k, heading)]
+    segment_index = np.minimum(where.astype(int), len(poses) - 2)
+    return [w for k in range(len(poses) - 1) for w in _waypoints(poses, k, where[segment_index == k] - k, heading)]
 
 
 def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:

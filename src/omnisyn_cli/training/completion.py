@@ -4,7 +4,7 @@ Exact depth says what the other camera cannot see, and colours say where there i
 simulated in a hundredth of the time that matching takes, and differently every time a scene is drawn. Of the rest some
 is left out, some is wrong, and some of the wrong passes for consistent. Views come from the pool of the depth networks.
 They are turned from the epipole frame to a camera held nearly upright, as real stereo features are
-(:mod:`omnisyn_cli.stereo.stereo_features`). Real ones (:mod:`omnisyn_cli.training.evidence_pool`) come last, as
+(:mod:`omnisyn_cli.stereo.stereo_features`). Real ones (:mod:`omnisyn_cli.training.feature_scenes`) come last, as
 fine-tuning.
 """
 
@@ -27,9 +27,9 @@ from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.matching_estimator import INCONSISTENT_MATCH_WEIGHT
 from omnisyn_cli.stereo.stereo_features import StereoFeatures, completion_channels, sqrt_inv_depth
-from omnisyn_cli.training.data import Augmentation, FeatureBatch, PoolScene, is_made_by, load_scene, vary_colours
-from omnisyn_cli.training.evidence_pool import draw_feature_pair
-from omnisyn_cli.training.pool import random_rotation
+from omnisyn_cli.training.data import Augmentation, FeatureBatch, TrainingScene, is_made_by, load_scene, vary_colours
+from omnisyn_cli.training.feature_scenes import draw_feature_pair
+from omnisyn_cli.training.line_scenes import random_rotation
 
 TILT_STDS_RADIANS = (0.0, 0.02, 0.1)
 """Standard deviations of pitch and roll that a pair draws one of: on a tripod, by hand, askew."""
@@ -74,7 +74,7 @@ def draw_completion(
     """Random pairs of random scenes; every pair gives two samples.
 
     Args:
-        pool: from :func:`omnisyn_cli.training.data.list_pool`, of rendered scenes, of matched ones, or of both.
+        pool: from :func:`omnisyn_cli.training.data.list_scene_files`, of rendered scenes, of matched ones, or of both.
         rng: random numbers.
         pairs: how many.
         size: ``(height, width)``, at most that of the pool.
@@ -97,7 +97,7 @@ def _draw_pair_features(
 
 
 def completion_pair(
-    scene: PoolScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None = None
+    scene: TrainingScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None = None
 ) -> FeatureBatch:
     """Two views of a scene, and what matching might have made of them.
 
@@ -138,7 +138,7 @@ def _upright(up: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Float[np.
 
 
 def _upright_view(
-    scene: PoolScene, index: int, turn: np.ndarray, size: tuple[int, int], baseline: float, sign: float
+    scene: TrainingScene, index: int, turn: np.ndarray, size: tuple[int, int], baseline: float, sign: float
 ) -> _UprightView:
     image, inverse_depth = scene.images[index], np.asarray(scene.inverse_depth[index], np.float32)
     turned = RemapTable.for_directions(pixel_directions(*size) @ turn.T, inverse_depth.shape)

@@ -47,7 +47,7 @@ LEVEL_UP = np.array([0.0, 0.0, 1.0], np.float32)
 
 
 @dataclass(frozen=True)
-class PoolScene:
+class TrainingScene:
     """Views of one scene along a line, see the module's docstring."""
 
     images: UInt8[np.ndarray, "views height width 3"]
@@ -119,7 +119,7 @@ class Augmentation:
     jpeg: float = 0.3
 
 
-def save_scene(path: Path, scene: PoolScene) -> None:
+def save_scene(path: Path, scene: TrainingScene) -> None:
     """Write one file of a pool, see :func:`save_arrays`."""
     arrays = {
         "images": scene.images,
@@ -188,14 +188,14 @@ def window_columns(relevance: Shaped[np.ndarray, "height width"], rng: np.random
     return np.asarray((begin + np.arange(width // WINDOW_DIVISOR)) % width)
 
 
-def load_scene(path: Path) -> PoolScene:
+def load_scene(path: Path) -> TrainingScene:
     """Read one file of a pool."""
     with np.load(path) as file:
         up = file.get("up", LEVEL_UP)
-        return PoolScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
+        return TrainingScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
 
 
-def list_pool(folder: Path, *makers: str) -> list[Path]:
+def list_scene_files(folder: Path, *makers: str) -> list[Path]:
     """All scenes of a pool in a fixed order.
 
     Args:
@@ -232,7 +232,7 @@ def check_height(pool: list[Path], multiple: int) -> None:
     """Refuse a pool of renderings, which are learned from at the size they have.
 
     Args:
-        pool: from :func:`list_pool`; all scenes of a pool have one size.
+        pool: from :func:`list_scene_files`; all scenes of a pool have one size.
         multiple: that the height has to be of.
 
     Raises InputError: it is not.
@@ -272,10 +272,10 @@ def draw_batch(
 
 
 def _draw_pair(
-    scene: PoolScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
+    scene: TrainingScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
 ) -> tuple[np.ndarray, np.ndarray, np.float32]:
     """Colours of both, inverse depth of the first, metres."""
-    check_pool_size(scene, size)
+    check_scene_size(scene, size)
     images, inverse_depths, along = draw_ordered_views(scene, 2, rng)
     colours = np.stack([reduced(image, size).astype(np.float32) for image in images]) / np.float32(255.0)
     if augmentation is not None:
@@ -284,7 +284,7 @@ def _draw_pair(
 
 
 def draw_ordered_views(
-    scene: PoolScene, views: int, rng: np.random.Generator
+    scene: TrainingScene, views: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Images, inverse depths and places of some views, in order from either end, mirrored or not."""
     chosen = np.sort(rng.choice(len(scene.along), views, replace=False))
@@ -296,7 +296,7 @@ def draw_ordered_views(
     return images, inverse_depths, along
 
 
-def check_pool_size(scene: PoolScene, size: tuple[int, int]) -> None:
+def check_scene_size(scene: TrainingScene, size: tuple[int, int]) -> None:
     """InputError unless views are a whole multiple of ``size``."""
     rows = scene.images.shape[1]
     if rows % size[0]:

@@ -180,8 +180,8 @@ def _choose(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
         for second in range(len(median))
         if first != second
     ]
-    usual = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found
-    bins = {name: [pair for pair in usual if baseline_bin(pair[2]) == name] for name in BASELINE_BINS}
+    in_range = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found
+    bins = {name: [pair for pair in in_range if baseline_bin(pair[2]) == name] for name in BASELINE_BINS}
     filled = [pairs for pairs in bins.values() if pairs]
     pairs = filled[rng.integers(len(filled))]
     return pairs[rng.integers(len(pairs))]
@@ -214,9 +214,9 @@ def _held_by_hand(
         first = _turned(*first, held)
     if is_tilted or is_misplaced:
         second = _turned(*second, held @ rotation_from_rotation_vector(error))
-    told = held.T @ towards + wrong
+    noisy_direction = held.T @ towards + wrong
     pictures, depths = zip(first, second, strict=True)
-    return np.stack(pictures), np.stack(depths), told / np.linalg.norm(told)
+    return np.stack(pictures), np.stack(depths), noisy_direction / np.linalg.norm(noisy_direction)
 
 
 def _turned(image: np.ndarray, inverse_depth: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -239,8 +239,8 @@ def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor
         thin = (..., slice(stride // 2, None, stride), slice(stride // 2, None, stride))
         share = COARSE_WEIGHT / len(prediction.coarse)
         loss = loss + share * _weighted_mean(_signed_error(coarse, target[thin]).abs(), weight[thin])
-    surprise = error.detach().abs() * torch.exp(-prediction.log_scale) + prediction.log_scale
-    return loss + SCALE_WEIGHT * _weighted_mean(surprise, known * polar_weights(target))
+    log_loss = error.detach().abs() * torch.exp(-prediction.log_scale) + prediction.log_scale
+    return loss + SCALE_WEIGHT * _weighted_mean(log_loss, known * polar_weights(target))
 
 
 def _signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
-from omnisyn_cli.training.data import Augmentation, check_height, list_pool
+from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
 from omnisyn_cli.training.pictures import Board, contact_sheet
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.task import HELD_OUT_LOSS, TrainConfig, on_device
@@ -281,7 +281,7 @@ def train(
                 save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
             if board is not None:
                 board.add(row, pictures)
-            losses, pool = [], list_pool(Path(config.pool), *trainer.task.pools)
+            losses, pool = [], list_scene_files(Path(config.pool), *trainer.task.pools)
         if trainer.step % config.save_every == 0 or out_of_time:
             save_checkpoint(path, trainer.state())
         if out_of_time:
@@ -292,7 +292,9 @@ def train(
 
 def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
     """The scenes to learn from; those to be judged by are found wrong now, not after hundreds of steps."""
-    pool, judged = (list_pool(Path(folder), *trainer.task.pools) for folder in (config.pool, config.validation_pool))
+    pool, judged = (
+        list_scene_files(Path(folder), *trainer.task.pools) for folder in (config.pool, config.validation_pool)
+    )
     if trainer.task.pools == ("fusion-pool",):
         multiple = trainer.network.config.size_multiple
         check_height(pool, 2 * multiple)  # a window half as wide is seen

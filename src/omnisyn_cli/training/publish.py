@@ -14,7 +14,7 @@ from omnisyn_cli.networks.export import PARITY, export_network, largest_differen
 from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
-from omnisyn_cli.training.data import list_pool
+from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.synsin import blend_points, draw_views
 from omnisyn_cli.training.task import Task, TrainConfig
@@ -138,7 +138,7 @@ def _views(network: SynSinNetwork, part: Network, pool: Path | None) -> Examples
     """Noise, and panoramas of a pool or what the decoder would see of them."""
     yield from _noise(part, network.config.size)
     rng, size = np.random.default_rng(0), network.config.size
-    samples = draw_views(list_pool(pool), rng, COMPARED_EXAMPLES, size) if pool else []
+    samples = draw_views(list_scene_files(pool), rng, COMPARED_EXAMPLES, size) if pool else []
     for sample in samples:
         yield (blend_points(network, sample)[None].numpy() if part is network.decoder else sample.images[:1].numpy(),)
 

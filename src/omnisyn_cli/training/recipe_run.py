@@ -35,7 +35,7 @@ from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk, 
 
 __all__ = ["RecipeTrainer", "train_recipe"]
 
-POOL, VALIDATION_POOL = "walks", "validation-walks"
+SCENE_FOLDER, VALIDATION_FOLDER = "walks", "validation-walks"
 """Folders of scenes in the folder of a run."""
 
 LOG, CURVE, LATEST_CHECKPOINT = "log.jsonl", "curve.csv", "latest.pt"
@@ -52,7 +52,7 @@ SHOWN = 5
 
 
 @dataclass
-class WalkPool:
+class WalkSchedule:
     """Which scenes a step draws from.
 
     Attributes:
@@ -123,15 +123,15 @@ class RecipeTrainer(Trainer):
         self.optimizer = torch.optim.AdamW(
             groups, lr=recipe.stages[0].rate, weight_decay=self.config.weight_decay, betas=(0.9, 0.99)
         )
-        self.pool = WalkPool(folder / POOL, make, recipe)
+        self.pool = WalkSchedule(folder / SCENE_FOLDER, make, recipe)
         self.warm_from = 0
         self.curve: list[dict[str, float]] = []
 
     def _stage_config(self, index: int) -> TrainConfig:
         recipe, stage = self.recipe, self.recipe.stages[min(index, len(self.recipe.stages) - 1)]
         return TrainConfig(
-            pool=str(self.folder / POOL),
-            validation_pool=str(self.folder / VALIDATION_POOL),
+            pool=str(self.folder / SCENE_FOLDER),
+            validation_pool=str(self.folder / VALIDATION_FOLDER),
             size=(stage.height, 2 * stage.height),
             batch=stage.batch,
             rate=stage.rate,
@@ -252,7 +252,7 @@ def train_recipe(
     walks.check()
     judged.check()
     make_folder(folder, "a network that is trained")
-    _make_validation_walks(folder / VALIDATION_POOL, recipe.validation_walks, judged)
+    _make_validation_walks(folder / VALIDATION_FOLDER, recipe.validation_walks, judged)
     trainer = RecipeTrainer(recipe, folder, lambda path, seed: save_walk(path, make_walk(seed, walks)), precision)
     _begin(trainer, folder, encoder, begin_with)
     on_start(trainer)

@@ -23,7 +23,7 @@ from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sam
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
 from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, discriminator_loss, feature_loss
-from omnisyn_cli.training.data import PoolScene, load_scene
+from omnisyn_cli.training.data import TrainingScene, load_scene
 from omnisyn_cli.training.losses import depth_scores, polar_weights, sqrt_inv_depth_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 
@@ -69,7 +69,7 @@ def _chosen(views: int, wanted: int, rng: np.random.Generator) -> tuple[int, tup
 
 
 def view_sample(
-    scene: PoolScene, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
+    scene: TrainingScene, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
 ) -> ViewSample:
     """A sample of a scene.
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omnisyn_cli.training.data import Augmentation, list_pool
+from omnisyn_cli.training.data import Augmentation, list_scene_files
 
 VALIDATION_SEED = 1
 """Of the draws of held-out batches: the same in every run, so that losses can be compared."""
@@ -24,7 +24,7 @@ class TrainConfig:
 
     Attributes:
         pool, validation_pool: folders of scenes, see :mod:`omnisyn_cli.training.data` and
-            :mod:`omnisyn_cli.training.evidence_pool`.
+            :mod:`omnisyn_cli.training.feature_scenes`.
         size: of the images, a whole fraction of the pool's.
         batch: pairs per step.
         rate: learning rate after the warm-up.
@@ -81,7 +81,7 @@ class Task:
         held_out: a batch to be judged by, of a scene's file, the number of times that it was looked at before, and the
             stage; None draws it without varying colours.
         is_repeated: whether held-out scenes are looked at again if there are fewer than asked for.
-        pools: commands that make what it learns from, see :func:`omnisyn_cli.training.data.list_pool`.
+        pools: commands that make what it learns from, see :func:`omnisyn_cli.training.data.list_scene_files`.
         role: what it is for; None where that is the kind itself.
     """
 
@@ -106,7 +106,7 @@ class Task:
 
     def validation(self, network: Any, stage: TrainConfig) -> Iterator[Any]:
         """What networks are judged by: always the same, where the weights are."""
-        pool = list_pool(Path(stage.validation_pool), *self.pools)
+        pool = list_scene_files(Path(stage.validation_pool), *self.pools)
         pairs = stage.validation_pairs if self.is_repeated else min(stage.validation_pairs, len(pool))
         for index in range(pairs):
             path = pool[index % len(pool)]

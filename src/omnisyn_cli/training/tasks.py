@@ -28,7 +28,7 @@ from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNet
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import Batch, FeatureBatch
-from omnisyn_cli.training.fusion_pool import draw_fusion, load_fusion
+from omnisyn_cli.training.fusion_scenes import draw_fusion, load_fusion
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views

@@ -166,7 +166,7 @@ def _draw(
     inner one, at the size of the pool; its position; metres.
     """
     scene = data.load_scene(path)
-    data.check_pool_size(scene, size)
+    data.check_scene_size(scene, size)
     if len(scene.along) < MIN_VIEWS:
         raise InputError(
             f"expected scenes of at least {MIN_VIEWS} views, got {len(scene.along)} in {path}; "

@@ -65,14 +65,14 @@ def confidence_metrics(
     """
     check_same_size(estimate, truth)
     scored, weights = _scored(truth)
-    ratio, trust = _ratio(estimate[scored], truth[scored]), confidence[scored].astype(np.float64)
-    if trust.min() == trust.max():
+    ratio, confidences = _ratio(estimate[scored], truth[scored]), confidence[scored].astype(np.float64)
+    if confidences.min() == confidences.max():
         return {}, {}
-    diagram = _reliability(trust, ratio, weights)
+    diagram = _reliability(confidences, ratio, weights)
     error = sum(
         share * abs(diagram["confidence"][name] - diagram["within_10"][name]) for name, share in diagram["area"].items()
     )
-    correlation = rank_correlation(-trust, ratio, weights)
+    correlation = rank_correlation(-confidences, ratio, weights)
     found = {} if correlation is None else {"rank_correlation": correlation}
     return {**found, "calibration_error": error}, diagram
 
@@ -108,11 +108,11 @@ def _ranks(values: Values, weights: Values) -> Values:
     return np.asarray((np.cumsum(total) - 0.5 * total)[group])
 
 
-def _reliability(trust: Values, ratio: Values, weights: Values) -> dict[str, dict[str, float]]:
-    number = np.minimum((trust * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+def _reliability(confidences: Values, ratio: Values, weights: Values) -> dict[str, dict[str, float]]:
+    number = np.minimum((confidences * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     area = np.bincount(number, weights, CONFIDENCE_BINS)
     sums = {
-        "confidence": np.bincount(number, weights * trust, CONFIDENCE_BINS),
+        "confidence": np.bincount(number, weights * confidences, CONFIDENCE_BINS),
         "within_5": np.bincount(number, weights * (ratio < DELTAS["105"]), CONFIDENCE_BINS),
         "within_10": np.bincount(number, weights * (ratio < DELTAS["110"]), CONFIDENCE_BINS),
     }

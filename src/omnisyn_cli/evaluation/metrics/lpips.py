@@ -59,9 +59,9 @@ class Lpips:
             InputError: the network fails on the faces.
         """
         check_same_size(image, truth)
-        usual = max(SMALLEST_FACE, len(image) // 2)
+        face_side = max(SMALLEST_FACE, len(image) // 2)
         is_fixed = all(isinstance(length, int) for length in self._face_size)
-        height, width = self._face_size if is_fixed else (usual, usual)
+        height, width = self._face_size if is_fixed else (face_side, face_side)
         distances = []
         for directions in cube_directions(height, width):
             faces = [_network_input(picture, directions) for picture in (image, truth)]

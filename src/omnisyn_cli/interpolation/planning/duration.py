@@ -308,7 +308,7 @@ STAGE_SETTINGS: dict[str, Callable[[RunConfig], object]] = {
     "depth.kind": lambda config: config.depth.kind,
     "depth.networks": lambda config: config.depth.networks,
     "renderer": lambda config: config.renderer,
-    "fusion": lambda config: (config.fusion, config.fusion_rows if config.fusion_strategy.corrects_rules else 0),
+    "fusion": lambda config: (config.fusion, config.fusion_rows if config.fusion_strategy.is_residual else 0),
     "edges": lambda config: config.edges,
 }
 """What a stage may depend on."""

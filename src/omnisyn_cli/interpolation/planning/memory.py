@@ -80,12 +80,12 @@ def estimated_surface_memory(
         more += panorama * largest + LOOK_AHEAD_VERTEX_BYTES * vertices
     picture = largest if footprint.columns is None else min(largest, footprint.columns**2 // 2)
     kept = len(sources) * (footprint.per_pixel * picture + footprint.per_vertex * vertices)
-    making = max(
-        source.bytes_of_finding(depths),
+    drawing_bytes = max(
+        source.bytes_of_estimation(depths),
         footprint.writing * largest + config.renderer_strategy.building_bytes * vertices,
         len(sources) * footprint.closing * vertices,
     )
-    return int(source.bytes_of_program(depths) + 2 * panorama * largest + more + kept + making)
+    return int(source.bytes_of_program(depths) + 2 * panorama * largest + more + kept + drawing_bytes)
 
 
 def estimated_memory(
@@ -117,9 +117,9 @@ def estimated_memory(
     frames = _bytes_of_frames(job, config, size) + FLOAT_PIXEL_BYTES * largest
     if not config.draws_surfaces:
         return int(program + 2 * kept * largest + frames)
-    finding = source.bytes_of_finding(depths)
+    depth_bytes = source.bytes_of_estimation(depths)
     if source.refines(depths):
-        finding += 2 * FLOAT_PIXEL_BYTES * largest
+        depth_bytes += 2 * FLOAT_PIXEL_BYTES * largest
     ahead = (
         (FLOAT_PIXEL_BYTES + (3 if is_8_bit else 0)) * largest + LOOK_AHEAD_VERTEX_BYTES * vertices + UNCOLLECTED_BYTES
     )
@@ -128,7 +128,7 @@ def estimated_memory(
     )
     frames += 2 * config.renderer_strategy.kept_bytes * vertices
     more = ahead if fuses_chain_depth(config, len(sources)) else 0.0
-    return int(program + 2 * kept * largest + more + max(finding, texturing_surfaces, frames))
+    return int(program + 2 * kept * largest + more + max(depth_bytes, texturing_surfaces, frames))
 
 
 def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, int]) -> float:

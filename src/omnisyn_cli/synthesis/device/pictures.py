@@ -24,14 +24,14 @@ def change_colours(
     def change(colour: Tensor) -> None:
         there, channel = torch.from_numpy(table).to(colour.device), torch.arange(3, device=colour.device)
         value = colour[..., :3].clone()
-        cut_off = ((value.amax(-1) - clipping) / (1.0 - clipping)).clamp(0.0, 1.0)
+        clipped = ((value.amax(-1) - clipping) / (1.0 - clipping)).clamp(0.0, 1.0)
         place = value.clamp(0.0, 1.0) * last
         index = place.to(torch.int64).clamp_max(last - 1)
         low, high = there[channel, index], there[channel, index + 1]
         found = low + (place - index) * (high - low)
         found = torch.where(value <= 0.0, value * there[:, 1] * last, found)
         colour[..., :3] = torch.where(value >= 1.0, value * there[:, last], found)
-        colour[..., 3] *= 1.0 - float(loss) * cut_off
+        colour[..., 3] *= 1.0 - float(loss) * clipped
 
     return change
 

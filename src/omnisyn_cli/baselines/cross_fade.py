@@ -20,13 +20,13 @@ from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panor
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
-__all__ = ["CrossFades", "FlowFades"]
+__all__ = ["CrossFadeMethod", "FlowMethod"]
 
 MIN_FLOW_ROWS = 32
 """Rows of the smallest pictures that optical flow is looked for in."""
 
 
-class CrossFades:
+class CrossFadeMethod:
     """Both panoramas, turned, averaged by time; a :class:`~omnisyn_cli.synthesis.methods.Method`.
 
     Args:
@@ -42,7 +42,7 @@ class CrossFades:
         return _CrossFadePair((views[index], views[index + 1]), self.options, self.clock)
 
 
-class FlowFades(CrossFades):
+class FlowMethod(CrossFadeMethod):
     """Both panoramas, turned, moved along the optical flow between them and averaged by time.
 
     The flow of the second picture towards the first, times t, says where a pixel of the frame comes from in the first;

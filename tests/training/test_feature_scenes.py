@@ -8,10 +8,10 @@ from omnisyn_cli.networks.completion import CompletionConfig
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training.completion import draw_completion
-from omnisyn_cli.training.data import is_made_by, list_pool, load_samples
-from omnisyn_cli.training.evidence_pool import FeatureSample, draw_feature_pair, make_feature_scene
+from omnisyn_cli.training.data import is_made_by, list_scene_files, load_samples
+from omnisyn_cli.training.feature_scenes import FeatureSample, draw_feature_pair, make_feature_scene
+from omnisyn_cli.training.line_scenes import LineSceneConfig, TiltedConfig, render_line_scene
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
-from omnisyn_cli.training.pool import PoolConfig, TiltedConfig, render_to_pool
 from omnisyn_cli.training.publish import publish
 
 TINY = CompletionConfig(
@@ -77,7 +77,7 @@ def test_a_pair_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(po
 
 def test_a_pool_may_hold_evidence_beside_scenes_that_were_not_matched(pool, tmp_path):
     """Kinds are told apart file by file: evidence and what is made up of exact depth are drawn in turn."""
-    rendered = render_to_pool(tmp_path, 0, PoolConfig(size=SIZE))
+    rendered = render_line_scene(tmp_path, 0, LineSceneConfig(size=SIZE))
     kinds = {is_made_by("evidence", path) for path in (pool[0], rendered)}
     assert kinds == {True, False}
     batch = draw_completion([pool[0], rendered], np.random.default_rng(0), 8, SIZE)
@@ -150,7 +150,7 @@ def test_a_checkpoint_is_never_made_compact_in_its_own_place(tmp_path, pool):
 def test_scenes_for_another_network_are_refused(tmp_path, pool):
     folder = str(pool[0].parent)
     with pytest.raises(InputError, match="made by `omnisyn train fusion-pool`"):
-        list_pool(pool[0].parent, "fusion-pool")
+        list_scene_files(pool[0].parent, "fusion-pool")
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "00000000.npz").write_bytes(b"PK")
     for validation in (tmp_path, tmp_path / "broken"):

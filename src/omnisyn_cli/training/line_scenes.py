@@ -26,10 +26,10 @@ from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import read_photographs
 from omnisyn_cli.io.outputs import make_folder, write_errors
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_panorama, render_views, sample_path
-from omnisyn_cli.training.data import PoolScene, save_scene
+from omnisyn_cli.training.data import TrainingScene, save_scene
 from omnisyn_cli.types import View
 
-__all__ = ["PoolConfig", "TiltedConfig", "add_pair", "fill_pool", "pair_path", "render_to_pool"]
+__all__ = ["LineSceneConfig", "TiltedConfig", "add_pair", "make_scene_files", "pair_path", "render_line_scene"]
 
 PATH_STOPS = 9
 """Positions along a path that views are drawn from; the ends are always taken."""
@@ -78,7 +78,7 @@ class TiltedConfig(SceneConfig):
 
 
 @dataclass(frozen=True)
-class PoolConfig(SceneConfig):
+class LineSceneConfig(SceneConfig):
     """How a pool is rendered.
 
     Attributes:
@@ -100,7 +100,7 @@ def _load_photos(folder: str | None) -> Photos | None:
     return None if folder is None else pack_photos(read_photographs(Path(folder)))
 
 
-def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolConfig) -> PoolScene:
+def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: LineSceneConfig) -> TrainingScene:
     rng = np.random.default_rng([7, seed])
     between = np.sort(rng.choice(np.arange(1, PATH_STOPS - 1), config.views - 2, replace=False))
     chosen = [path[0], *(path[i] for i in between), path[-1]]
@@ -115,10 +115,10 @@ def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolCon
         images.append((image[0] * 255.0 + 0.5).astype(np.uint8))
         depths.append(depth[0])
     along = [float(np.linalg.norm(pose.position - chosen[0].position)) for pose in chosen]
-    return PoolScene(np.stack(images), 1.0 / np.stack(depths), np.array(along, dtype=np.float32), frame.T @ UP)
+    return TrainingScene(np.stack(images), 1.0 / np.stack(depths), np.array(along, dtype=np.float32), frame.T @ UP)
 
 
-def fill_pool(
+def make_scene_files(
     folder: Path, seeds: range, make: Callable[[Path, int], Path | None], *, workers: int = 1
 ) -> Iterator[Path]:
     """Make the scenes that are not there yet, in worker processes that give way to everything else.
@@ -164,7 +164,7 @@ def _lower_priority() -> None:
         os.nice(19)
 
 
-def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
+def render_line_scene(folder: Path, seed: int, config: LineSceneConfig) -> Path | None:
     """Render the scene of a seed, seen from a few positions along a line, into a pool; None if it has no room for one.
 
     Equal seeds make equal files.
@@ -217,15 +217,15 @@ def add_pair(path: Path, first: View, second: View, size: tuple[int, int]) -> No
     """Write a pair into a pool.
 
     Raises:
-        InputError: as :func:`pool_scene`.
+        InputError: as :func:`scene_from_pair`.
         WriteError: the disk is full, or the folder cannot be made.
     """
-    scene = pool_scene(first, second, size)
+    scene = scene_from_pair(first, second, size)
     with write_errors(path):
         save_scene(path, scene)
 
 
-def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
+def scene_from_pair(first: View, second: View, size: tuple[int, int]) -> TrainingScene:
     """Both panoramas and their depth in the epipole frame of the pair.
 
     Args:
@@ -242,7 +242,7 @@ def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
     frame, _, baseline = epipole_frame(first.pose, second.pose)
     shown = [_rotate_view(view, frame, size) for view in (first, second)]
     images, inverse_depths = (np.stack(column) for column in zip(*shown, strict=True))
-    return PoolScene(images, inverse_depths, np.array([0.0, baseline], np.float32), frame.rotation.T @ UP)
+    return TrainingScene(images, inverse_depths, np.array([0.0, baseline], np.float32), frame.rotation.T @ UP)
 
 
 def _rotate_view(

@@ -44,10 +44,10 @@ from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stack_fields, window_columns
-from omnisyn_cli.training.pool import TiltedConfig, noisy_pose, random_rotation, scene_path
+from omnisyn_cli.training.line_scenes import TiltedConfig, noisy_pose, random_rotation, scene_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
-__all__ = ["FusionPoolConfig", "make_fusion_scene"]
+__all__ = ["FusionSceneConfig", "make_fusion_scene"]
 
 RENDER_SCALE, PICTURE_SCALE = 4, 2
 """Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
@@ -89,7 +89,7 @@ SIGNED_CHANNELS = (channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POS
 
 
 @dataclass(frozen=True)
-class FusionPoolConfig(TiltedConfig):
+class FusionSceneConfig(TiltedConfig):
     """How scenes are rendered.
 
     Attributes:
@@ -187,7 +187,7 @@ def downsample_channels_first(
     return np.ascontiguousarray(small.transpose(2, 0, 1))
 
 
-def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
+def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Path | None:
     """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided."""
     found = config.scene(seed, 2)
     if found is None:
@@ -202,7 +202,7 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
     return file
 
 
-def _depth_source(draw: float, config: FusionPoolConfig) -> DepthSource:
+def _depth_source(draw: float, config: FusionSceneConfig) -> DepthSource:
     """What a number drawn from [0, 1) decides."""
     if draw < config.matched_share:
         return DepthSource("matching", config.rows)
@@ -217,7 +217,7 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
 
 
 def _samples(
-    scene: Scene, ends: Sequence[Pose], run_config: RunConfig, rng: np.random.Generator, config: FusionPoolConfig
+    scene: Scene, ends: Sequence[Pose], run_config: RunConfig, rng: np.random.Generator, config: FusionSceneConfig
 ) -> Iterator[FusionSample]:
     size = (RENDER_SCALE * config.size[0], RENDER_SCALE * config.size[1])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)

@@ -23,7 +23,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
 from omnisyn_cli.training.data import Augmentation, FeatureBatch, load_samples, save_samples, stack_fields, vary_colours
-from omnisyn_cli.training.pool import PATH_STOPS, TiltedConfig, scene_path, take_photograph
+from omnisyn_cli.training.line_scenes import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
 __all__ = ["make_feature_scene"]
