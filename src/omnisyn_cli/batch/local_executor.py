@@ -21,6 +21,7 @@ SHUTDOWN_TIMEOUT_SECONDS = 10
 """That a worker has to finish after its connection is closed; then it is killed."""
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables by which numerical libraries take their number of threads."""
 
 
 @dataclass(frozen=True)

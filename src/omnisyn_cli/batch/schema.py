@@ -18,6 +18,7 @@ from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob
 from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
 
 MAX_MANIFEST_BYTES = 1 << 30
+"""One GiB: larger files are no manifests. Set by hand."""
 
 LIST_COLUMNS = frozenset({"inputs", "masks"})
 """Columns of CSV with several file names, separated by semicolons."""

@@ -8,13 +8,16 @@ from contextlib import suppress
 from omnisyn_cli.cli.failures import EXIT_FAILURE, memory_failure
 
 CXX_LIBRARY = "libstdc++.so.6"
+"""The C++ runtime of GCC, whose handler is replaced."""
 
 SET_TERMINATE = "_ZSt13set_terminatePFvvE"
+"""The mangled name of ``std::set_terminate``."""
 
 MEMORY_EXCEPTIONS = {b"St9bad_alloc": "no more memory", b"St12system_error": "no more threads"}
 """Mangled names of exceptions, and what they mean."""
 
 STDERR = 2
+"""The file descriptor of POSIX."""
 
 TYPE_NAME = 1
 """Which word of ``std::type_info`` leads to the name."""

@@ -8,6 +8,7 @@ from omnisyn_cli.cli.parameters import FilePath
 from omnisyn_cli.cli.terminal import say
 
 FOLDER = FilePath(file_okay=False)
+"""A click type: any path that is no file."""
 
 
 @click.command("export-onnx")

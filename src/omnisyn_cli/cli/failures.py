@@ -9,6 +9,7 @@ from omnisyn_cli.cli.signals import Terminated
 from omnisyn_cli.errors import OmnisynError
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_INPUT, EXIT_INTERRUPT = 1, 2, 3, 130
+"""Exit codes: 1 and 2 are those of click, 130 is a shell's for Ctrl-C, 3 is this program's own."""
 
 EXIT_CODES: Mapping[int, str] = {
     0: "done", EXIT_FAILURE: "failed (or poses do not fit)", EXIT_USAGE: "wrong usage", EXIT_INPUT: "unusable input",
@@ -17,6 +18,7 @@ EXIT_CODES: Mapping[int, str] = {
 """Meanings, for every command; docs/stability.md says more of each."""
 
 EXIT_CODES_LINE = f"Exit codes: {', '.join(f'{code} {meaning}' for code, meaning in EXIT_CODES.items())}."
+"""Ends the help of all commands."""
 
 SIGNAL_BASE = 128
 """A program that a signal ends has this code plus the number of the signal, as shells count."""

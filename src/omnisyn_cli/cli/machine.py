@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 BYTES_PER_GB = 1e9
+"""Decimal, as everywhere in messages."""
 
 CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 """Where Linux says what a container may have: bytes, or ``max``."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from omnisyn_cli.runtime.models import ModelEntry
 
 HEADER = ("name", "role", "size", "parameters", "hours", "purpose")
+"""Columns of the table of networks."""
 
 
 @click.command()

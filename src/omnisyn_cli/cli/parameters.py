@@ -17,6 +17,7 @@ else:
     SizeType = click.ParamType  # older releases of click have no generic one
 
 SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
+"""Characters that divide folders on this system."""
 
 
 class FiniteRange(click.FloatRange):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 COMPILING_NOTE = "note: compiling the kernels, once per installation: about half a minute"
+"""Printed once, before the first run compiles."""
 
 MIN_BAR_SECONDS = 1.5
 """Seconds of compiling that nobody needs to be told about."""

@@ -14,6 +14,7 @@ CONTROL_CODES = (
 """Characters that end a line, begin an escape sequence or turn the direction of writing around."""
 
 SPELLED_OUT = {code: f"\\u{code:04x}" for code in CONTROL_CODES}
+"""For ``str.translate``: control characters become escapes, so that names cannot steer a terminal."""
 
 
 def printable(text: str) -> str:

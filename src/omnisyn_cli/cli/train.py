@@ -15,6 +15,7 @@ from omnisyn_cli.cli.train_pools import convert, fusion_pool, matched_scenes, po
 from omnisyn_cli.cli.train_recipe import recipe
 
 FOLDER = FilePath(file_okay=False)
+"""A click type: any path that is no file."""
 
 DEVICES = ("auto", "cpu", "cuda")
 """Those of :mod:`omnisyn_cli.training.precision`, written out because ``--help`` should not load them."""

@@ -14,6 +14,7 @@ from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
 FOLDER = FilePath(file_okay=False)
+"""A click type: any path that is no file."""
 
 POOL_MULTIPLE = 64
 """Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them."""
@@ -36,6 +37,7 @@ def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]
 WORKERS = click.option(
     "--workers", default=1, show_default=True, type=WholeRange(1), help="Number of processes, at low priority."
 )
+"""An option of all commands that render scenes."""
 
 
 @click.command()

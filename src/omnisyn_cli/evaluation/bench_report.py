@@ -25,12 +25,15 @@ from omnisyn_cli.io.outputs import staged_folder, write_errors
 __all__ = ["bench_tables", "write_bench_report"]
 
 REPORT_NAME = "bench"
+"""Of the files of a report, without their endings."""
 
 WS_PSNR = Column("WS-PSNR, dB", 1)
 
 MEMORY = Column("Memory, MB", -1, 0)
+"""The greatest resident size of a run."""
 
 FRONT_MARK, OTHER_MARK = "●", "○"
+"""Whether a setting is on the Pareto front."""
 
 
 def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:

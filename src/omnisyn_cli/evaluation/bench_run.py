@@ -39,8 +39,10 @@ PHOTOGRAPHS_PER_CLIP = 2
 """The first and the last frame of a clip, which are not rendered."""
 
 PEAK_MEMORY_FIELD = "VmHWM:"
+"""Linux: the greatest resident size of a process, in kB."""
 
 PROCESS_STATUS = Path("/proc/self/status")
+"""Where Linux says so."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from omnisyn_cli.scenes import generate_scene, sample_path
 __all__ = ["BenchJob", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
 
 RESULTS_NAME = "bench.jsonl"
+"""A line per finished run."""
 
 GENERATED_PAIRS = (
     ("street", 5_000_001, 1.0), ("street", 5_000_002, 3.0), ("street", 5_000_003, 6.0),
@@ -46,6 +47,7 @@ PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(5))
 """Of the panoramas of a scene that is made: two inputs, and three true frames between."""
 
 SUPERSAMPLE = 2
+"""Rays per pixel along each axis of the rendered scenes. Set by hand."""
 
 DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"
 """What others are compared with."""

@@ -43,11 +43,13 @@ MIN_SEED = 10_000_000
 """Seeds from here on are never used in training or in the standard scenes."""
 
 FIRST_SEED = 20_000_000
+"""Far from the seeds that networks learn from, so that scenes are held out."""
 
 SUPERSAMPLE = 2
 """Colour samples per pixel along each axis."""
 
 TABLE_NAME = "depth-table.md"
+"""Of the report."""
 
 RECORD_VERSION = 1
 """Counts up when the same scenes are measured or recorded in another way."""

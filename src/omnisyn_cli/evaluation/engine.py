@@ -43,11 +43,13 @@ KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""
 
 NO_TRUE_FRAMES = "expected true frames between the two panoramas, got none"
+"""Why a pair has no scores of frames."""
 
 DEFAULT_TOUR_PAIRS = "every:2"
 """Pairs of tours unless others are asked for."""
 
 TOO_FEW_PANORAMAS = "expected panoramas enough for a pair, got fewer"
+"""Why a scene has no pairs."""
 
 
 @dataclass(frozen=True)

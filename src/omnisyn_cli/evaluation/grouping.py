@@ -19,6 +19,7 @@ TOUR_PARAMETER = "neighbours=2"
 """The parameter of a method that lets depth come from both neighbours of a panorama."""
 
 MAIN_SCORE = "ws_psnr"
+"""The score that methods are ranked by."""
 
 BAND_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, math.inf)
 """Metres: distances are put together from one edge (excluded) to the next (included)."""

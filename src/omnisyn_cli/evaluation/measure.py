@@ -28,6 +28,7 @@ from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
 CLIP_FRAMES = 9
+"""Odd, so that one lies in the middle. Set by hand."""
 
 CLIP_STEP = 1 / 60
 """Share of the way: two seconds of video at 30 frames a second."""

@@ -211,6 +211,7 @@ class _FirstOfPair:
 
 
 _DEFAULT = PRESETS[DEFAULT_PRESET].config
+"""The config of the default preset, of which ablations change one thing."""
 
 BASES: Mapping[str, ComparedMethod] = {
     name: ComparedMethod(name, description, config, shows_first_only=name == "first-view-only")
@@ -246,8 +247,10 @@ LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "ad
 """What parameters leave out of a config."""
 
 MIN_ROWS = 32
+"""Least height of a network's input, which is halved five times."""
 
 ONE_VIEW = "views=1"
+"""The parameter of a method that shows the first panorama only."""
 
 VARIANTS = (
     f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
@@ -287,9 +290,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         if key == "renderer" and value in RENDERERS:
             return replace(method, config=replace(config, renderer=value))
         if parameter in FUSION_PARAMETERS:
-            return replace(
-                method, config=replace(config, fusion=FUSION_PARAMETERS[parameter]), shows_first_only=False
-            )
+            return replace(method, config=replace(config, fusion=FUSION_PARAMETERS[parameter]), shows_first_only=False)
         is_adjustable = config.depth.strategy.model_is_optional
         if is_adjustable and (source := _changed_source(config.depth, parameter)) is not None:
             return replace(method, config=replace(config, depth=source))
@@ -325,6 +326,7 @@ METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*B
 
 
 BOUND = "oracle-depth"
+"""The method that is given true depth: an upper bound of the others."""
 
 DEFAULT_METHODS = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
 """What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""

@@ -31,18 +31,22 @@ PLOT_TITLES = {
     "seconds-by-stage": "Seconds per pair, by stage",
     "reliability": "Reliability of depth: the share within 10 % (full) and 5 % (dotted) by confidence",
 }
+"""By the name of the file."""
 
 FIGURE_WIDTH, FIGURE_HEIGHT, LEGEND_LINE_HEIGHT = 6.4, 3.8, 0.22
 """Inches; text stays readable on a telephone."""
 
 LEGEND_COLUMNS = 3
+"""As many names as fit the width of a diagram."""
 
 DOTS_PER_INCH = 160
+"""Sharp on screens of twice the usual density."""
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 """Okabe and Ito's colours, which the colour-blind can tell apart, without yellow; markers change when they repeat."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Of the methods, in their order, so that diagrams can be read without colours."""
 
 MAX_POINTS = 2000
 """Frames up to which single points are drawn; more would hide the means."""

@@ -56,6 +56,7 @@ THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
 """Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder."""
 
 FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
+"""Of the pictures of a frame, by kind."""
 
 Pictures = dict[str, str]
 """Pictures side by side: a caption -> the whole file as an address."""

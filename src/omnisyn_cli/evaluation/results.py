@@ -22,6 +22,7 @@ from omnisyn_cli.io.json_lines import append_line, complete_lines
 __all__ = ["UnitRecord"]
 
 RESULTS_NAME = "results.jsonl"
+"""A line per finished unit."""
 
 Status = Literal["done", "unavailable", "skipped", "failed"]
 """``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: there is no true frame to
@@ -144,6 +145,7 @@ class UnitRecord:
 
 
 RECORD = TypeAdapter(UnitRecord)
+"""Reads and checks the lines."""
 
 
 def mean(values: Iterable[float]) -> float:

@@ -90,6 +90,7 @@ FRAME_COLUMNS = {
     "lrce": Column("LRCE", -1, 4),
     "lpips": Column("LPIPS", -1, 4),
 }
+"""By score of a frame; the second number is -1 where less is better, then come the digits."""
 
 DEPTH_COLUMNS = {
     "imae": Column("IMAE, 1/m", -1, 4),
@@ -103,11 +104,13 @@ DEPTH_COLUMNS = {
     "delta_125_squared": Column("δ < 1.25²", 1, 4),
     "delta_125_cubed": Column("δ < 1.25³", 1, 4),
 }
+"""By score of depth, likewise."""
 
 TRUE_FRAMES_COLUMNS = {
     "change_psnr": Column("Change from frame to frame, dB", 1),
     "flying": Column("Flying pixels, share of the sphere", -1, 5),
 }
+"""By score of changes from frame to frame, against those of true frames."""
 
 CONFIDENCE_COLUMNS = {
     "unsure_area": Column("Unsure area", 0, 4),
@@ -116,6 +119,7 @@ CONFIDENCE_COLUMNS = {
     "rank_correlation": Column("Rank correlation of doubt and error", 1, 3),
     "calibration_error": Column("Calibration error", -1, 4),
 }
+"""By score of the confidence."""
 
 TEMPORAL_COLUMNS = {
     "warping_error": Column("Warping error", -1, 4),
@@ -123,6 +127,7 @@ TEMPORAL_COLUMNS = {
     "end_first": Column("At the first panorama", -1, 4),
     "end_second": Column("At the second panorama", -1, 4),
 }
+"""By score of consecutive frames."""
 
 DIFFERENCE_COLUMNS = (
     Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),
@@ -143,6 +148,7 @@ KIND_NOTE = (
     "Kinds are those of a method's own surfaces: what both views show there, or one, or neither, and whether within a "
     "tenth at one distance; beside silhouettes is up to 2 pixels from a jump of depth."
 )
+"""Below tables by kind of pixel."""
 
 KIND_TABLES = (
     ("Error by kind of pixel, dB", "PSNR of the pixels of a kind, weighted by solid angle.", "psnr", 2),
@@ -155,6 +161,7 @@ ERROR_NOTE = (
     "± is the standard error over scenes, or over pairs of a single scene. Marked methods beat another one, and none "
     "beats them, by more than chance explains (95 %, paired by frame)."
 )
+"""Below tables with standard errors."""
 
 WORST_TABLES = (
     ("Worst frame of each pair", "The least WS-PSNR, dB, and the frame that has it.", "ws_psnr"),
@@ -382,6 +389,7 @@ def format_value(value: float, digits: int) -> str:
 
 
 MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
+"""Characters that mean something in Markdown, and are escaped."""
 
 
 def about_units(units: Sequence[UnitRecord]) -> dict[str, str]:

@@ -16,6 +16,7 @@ from omnisyn_cli.types import DepthEstimate, View
 __all__ = ["load_pair"]
 
 IDENTITY_POSE = Pose.identity()
+"""Of frames that are compared in the panorama's own orientation."""
 
 
 @dataclass(frozen=True)

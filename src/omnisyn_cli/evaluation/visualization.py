@@ -37,8 +37,10 @@ KIND_MIN_BRIGHTNESS = 0.15
 """Brightness without any error, so that the area of a kind is seen as well."""
 
 PICTURES_FOLDER = "pictures"
+"""In the folder of a report."""
 
 MAX_NAME_CHARS = 80
+"""Of a scene in a file name: file systems take 255 bytes for all of it."""
 
 
 def error_map(

@@ -46,6 +46,7 @@ CROSS_VIEW, CANDIDATE_RGB, HYPOTHESIS_DEPTHS, HYPOTHESIS_OCCLUSION, CANDIDATE_DI
     INPUT_CHANNELS + k for k in (0, 12, 24, 26, 30)
 )
 CANDIDATE_CHANNELS = 32
+"""First channel of each group that the candidates add, and how many they add. Checkpoints depend on them."""
 
 CANDIDATE_SCALE = 2
 """Candidates are sampled at so many times the height of the network's input, and averaged. Set by hand."""

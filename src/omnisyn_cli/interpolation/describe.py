@@ -18,17 +18,22 @@ from omnisyn_cli.poses.file import read_poses
 __all__ = ["describe_file"]
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+"""Files that FFmpeg describes."""
 
 BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
+"""Files of ISO boxes, which can hold spherical metadata."""
 
 PROBE_SECONDS = 60
+"""After which FFmpeg is given up. Set by hand."""
 
 VIDEO_STREAM = re.compile(
     r"Stream #\S+ Video: (?P<codec>\w+).*?, (?P<pixel_format>[a-z]\w+)(?:\((?P<colour>[^)]*)\))?"
     r".*?, (?P<width>\d+)x(?P<height>\d+)(?:.*?, (?P<fps>[\d.]+k?) fps)?"
 )
+"""What FFmpeg prints of a video stream."""
 
 DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
+"""What FFmpeg prints of the length: hours, minutes, seconds."""
 
 
 def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False) -> dict[str, Any]:

@@ -69,6 +69,7 @@ MIN_REDUCTION = 1.25
 """Factor below which a panorama is read as it is."""
 
 CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}
+"""As people write them."""
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ MIN_STEEP_DEG, MAX_LEVEL_DEG = 60.0, 15.0
 """Elevations from which on a direction is straight up or down, and below which it is level."""
 
 CONFIDENCE_PAGE = "docs/confidence.md"
+"""What messages about confidence refer to."""
 
 
 @dataclass(frozen=True)

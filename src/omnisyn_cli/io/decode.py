@@ -38,6 +38,7 @@ BELOW_ZERO_ALTITUDE_REFS = (1, 3)
 """Values of EXIF's GPSAltitudeRef that mean below sea level and below the ellipsoid."""
 
 LINEAR_FORMATS = ("openexr", "hdr")
+"""Formats, by OpenImageIO's names, whose values are linear light."""
 
 SHOWN_ATTRIBUTE = "omnisyn:displayReferred"
 """Of EXR files whose samples are sRGB, as this program writes frames."""
@@ -46,6 +47,7 @@ HARMLESS_COMPLAINTS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
 
 TIFF_RGB = 2
+"""Value of the tag PhotometricInterpretation, TIFF 6.0."""
 
 TIFF_COLOURS = (0, 1, TIFF_RGB, 3, 5, 6)
 """Photometric interpretations that OpenImageIO turns into RGB or grey: inverted grey, grey, RGB, palette, CMYK, YCbCr.
@@ -61,8 +63,10 @@ MAX_XMP_BYTES = 4 << 20
 """Bytes of XMP that are read; cameras and stitchers write some kilobytes."""
 
 GPANO_ATTRIBUTE = re.compile(r"\s(GPano:\w+)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
+"""XMP may write a property as an attribute."""
 
 GPANO_ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")
+"""It may write it as an element, too."""
 
 XMP_BOOLEANS = {"true": 1, "false": 0}
 """XMP's booleans as the integers that OpenImageIO gives for other formats."""

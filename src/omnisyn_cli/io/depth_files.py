@@ -15,6 +15,7 @@ from omnisyn_cli.io.placement import placement_of
 __all__ = ["check_depth_header", "depth_size", "is_depth_header", "read_depth"]
 
 DEPTH_CHANNEL = "Z"
+"""The name that OpenEXR has for depth."""
 
 MIN_DEPTH = 1e-6
 """Metres; smaller depths become this, so that inverse depths stay finite."""

@@ -14,13 +14,16 @@ from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 __all__ = ["IMAGE_SUFFIXES", "image_suffix", "jpeg_bytes"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
+"""Files that frames and pictures can be written to."""
 
 JPEG_QUALITY = 95
+"""Nearly without visible loss. Set by hand."""
 
 PNG_COMPRESSION_LEVEL = 1
 """Ten times faster than zlib's default level, for files a few percent larger."""
 
 OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
+"""OpenImageIO's names of numpy's types."""
 
 IGNORED_COMPLAINT = "Exif data"
 """OpenImageIO's TIFF writer always complains about an EXIF directory that nobody asked for."""

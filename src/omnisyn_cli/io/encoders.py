@@ -22,6 +22,7 @@ X26X_PRESETS = (
 )  # fmt: skip
 
 PRORES_PROFILES = ("proxy", "lt", "standard", "hq")
+"""In the order of FFmpeg's numbers, from 0."""
 
 PLANAR_FORMAT = "yuv420p"
 """What most encoders work on; for it frames are converted here (:mod:`.yuv`) and not by ffmpeg."""
@@ -71,6 +72,7 @@ CODECS: Mapping[str, VideoCodec] = {
         {"uint8": "yuv422p10le", "uint16": "yuv422p10le"},
     ),
 }
+"""By the name that users choose."""
 
 MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov"}
 """Containers by the name's ending; left alone, ffmpeg makes of .m4v an iPod's, without H.265 and without colours."""

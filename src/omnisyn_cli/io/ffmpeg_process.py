@@ -28,11 +28,13 @@ PIPE_BYTES = 1 << 20
 """Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes."""
 
 FULL_DISK_MESSAGES = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
+"""What FFmpeg says where it cannot write."""
 
 FILE_SIZE_SIGNAL = "SIGXFSZ"
 """The signal that ends a process whose file grows beyond the user's limit."""
 
 ENCODER_CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
+"""Lines that encoders print whatever the level of logging is."""
 
 
 Packing = Callable[[np.ndarray], np.ndarray]

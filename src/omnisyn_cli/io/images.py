@@ -28,6 +28,7 @@ INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""
 
 FLOAT_TYPES = frozenset({"float16", "float32", "float64"})
+"""Types of decoded pictures that are taken as they are."""
 
 MIN_PANORAMA_HEIGHT = 2
 """Rows of the smallest panorama that a surface can be made of."""
@@ -331,6 +332,7 @@ def _resampled(panorama: Panorama, size: tuple[int, int]) -> Panorama:
 
 
 PHOTOGRAPH_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
+"""Files that count as photographs of surfaces."""
 
 MAX_PHOTOGRAPH_SIDE = 768
 """Pixels of the longer side that are kept: two megabytes a photograph, with its mip levels."""

@@ -16,21 +16,28 @@ XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"
 """With which the segment of the packet begins."""
 
 EXIF_HEADER = b"Exif\0\0"
+"""With which the segment of EXIF begins."""
 
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+"""Namespace of RDF, which XMP is written in."""
 
 XMLNS = "http://www.w3.org/2000/xmlns/"
+"""Namespace of declarations of namespaces."""
 
 NEW_PACKET = (
     b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="' + RDF.encode() + b'">'
     b'<rdf:Description rdf:about=""/></rdf:RDF></x:xmpmeta>'
 )
+"""A packet without properties."""
 
 PACKET_BEGIN = b'<?xpacket begin="\xef\xbb\xbf" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
+"""The header of a packet; the id is the same in all, see part 1."""
 
 PACKET_END = b'<?xpacket end="w"?>'
+"""The trailer; the packet may be changed in place."""
 
 START_OF_IMAGE, APP0, APP1, START_OF_SCAN = 0xD8, 0xE0, 0xE1, 0xDA
+"""Second bytes of markers, after 0xFF."""
 
 MAX_SEGMENT_BYTES = 65533
 """Of the content of a segment: its length is a number of 16 bits and counts itself."""

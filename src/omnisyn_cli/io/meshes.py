@@ -24,8 +24,10 @@ MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 """Formats that trimesh reads with their textures."""
 
 ARCHIVE = "scene.npz"
+"""A mesh as arrays in numpy's format."""
 
 MAX_FACES = 20_000_000
+"""Of a mesh that is read. Set by hand."""
 
 MIN_AREA = 1e-10
 """Square metres; smaller faces are dropped."""
@@ -34,6 +36,7 @@ LARGEST_EXTENT = 5000.0
 """Metres; larger meshes are in other units."""
 
 SMALLEST_EXTENT = 0.5
+"""Metres; smaller meshes are in other units."""
 
 LIGHT_MAP_GAIN = 2.0
 """Light where the light map is white."""

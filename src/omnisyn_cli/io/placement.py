@@ -12,6 +12,7 @@ from omnisyn_cli.io.decode import ImageHeader
 __all__ = ["DEFAULT_READING", "Placement", "Reading", "placement_of"]
 
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
+"""EXIF: those that turn a picture by a quarter, so that width and height change places."""
 
 MAX_TAGGED_PIXELS = 2**31
 """Largest size in a tag that is believed, in pixels: products of two sizes stay exact."""

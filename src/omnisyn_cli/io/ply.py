@@ -13,6 +13,7 @@ from omnisyn_cli.io.outputs import write_parts
 __all__ = ["write_ply"]
 
 TYPES = {"<f4": "float", "|u1": "uchar"}
+"""PLY's names of numpy's types."""
 
 
 def write_ply(path: Path, vertices: np.ndarray, comments: Sequence[str] = ()) -> None:

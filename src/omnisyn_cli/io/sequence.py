@@ -16,8 +16,10 @@ from omnisyn_cli.io.outputs import appears_at_once, check_staged_folder, hidden_
 __all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_sequence"]
 
 DEFAULT_NUMBER = "%06d"
+"""Of files in a folder: six digits last for nine hours at 30 frames a second."""
 
 NUMBER = re.compile(r"%0?(\d{0,2})d")
+"""Where a path has the number of a frame, as in FFmpeg."""
 
 UNSUPPORTED_SUFFIXES = (
     ".264", ".265", ".3g2", ".3gp", ".avi", ".bmp", ".gif", ".h264", ".h265", ".heic", ".hevc", ".ivf", ".m2ts", ".m4v",

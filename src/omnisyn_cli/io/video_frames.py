@@ -13,6 +13,7 @@ from omnisyn_cli.io.encoders import ffmpeg_program
 __all__ = ["VIDEO_SUFFIXES", "frames_of_video"]
 
 VIDEO_SUFFIXES = frozenset({".360", ".avi", ".insv", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
+"""Files that frames are taken from."""
 
 
 @contextmanager

@@ -33,6 +33,7 @@ STRIDE = PIXELS_PER_RUN + 1
 """Chroma sums of a channel: that of the column before the run, then those of the run."""
 
 TWO = np.float32(2.0)
+"""Typed, because a plain 2 would widen the products to 64 bits."""
 
 
 def _luma_weights(of_channels: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
@@ -50,6 +51,7 @@ YR, YG, YB = _luma_weights(np.array((RED, GREEN, BLUE)) * LUMA_RANGE / 255.0)
 UR, UG, UB = _chroma_shares(2)
 VR, VG, VB = _chroma_shares(0)
 LUMA_ZERO, CHROMA_ZERO = np.float32(BLACK_LUMA + ROUNDING), np.float32(NEUTRAL_CHROMA + ROUNDING)
+"""Weights of red, green and blue in luma (Y) and in the differences of blue (U) and red (V), then their zeros."""
 
 
 class PlanarFrames:

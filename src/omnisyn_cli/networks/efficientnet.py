@@ -40,6 +40,7 @@ Alternating keeps the drift small: features at stride 4 lie half an input pixel 
 """
 
 EPSILON = 1e-3
+"""Of batch normalisation, as the published weights were trained with."""
 
 
 class FrozenBatchNorm(nn.Module):

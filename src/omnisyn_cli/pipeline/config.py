@@ -17,6 +17,7 @@ FALLBACKS = ("soft", "crossfade", "none", "fail")
 cross-faded in doubtful regions, nothing; or an error."""
 
 DEVICES = ("auto", "cpu", "cuda")
+"""That networks run on."""
 
 
 def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:

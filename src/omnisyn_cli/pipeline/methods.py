@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["METHODS", "OMNISYN", "SYNSIN_MODELS", "open_synsin"]
 
 OMNISYN = "omnisyn"
+"""The method of this program: surfaces from estimated depth, fused."""
 
 SYNSIN_MODELS = (SYNSIN_DEPTH, "synsin-encoder", "synsin-decoder")
 """Names of SynSin's networks in the manifest."""

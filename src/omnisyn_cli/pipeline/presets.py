@@ -54,3 +54,4 @@ PRESETS: Mapping[str, Preset] = MappingProxyType({**SCALE, **REPRODUCTIONS})
 """By name: those of :data:`SCALE` in their order, then :data:`REPRODUCTIONS`."""
 
 DEFAULT_PRESET = "balanced"
+"""Taken where the user names none."""

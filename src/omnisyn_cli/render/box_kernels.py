@@ -34,6 +34,7 @@ FIRST_FREE_ROW = 10
 """The first row for others."""
 
 MAX_BLOCK_POINTS = 4 * BLOCK + 2 * LANES
+"""Corners of a block's quads, and room for two more vectors."""
 
 
 @subkernel()

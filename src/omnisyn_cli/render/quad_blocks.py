@@ -29,6 +29,7 @@ HOLE_FLAG = 32
 """Flag of a quad that is not drawn."""
 FACES_PER_QUAD = 8
 FACES_PER_QUARTER = 2
+"""Triangles, at most: two in each of the four quarters of a quad with cut edges."""
 
 BLOCK = 64
 """Quads that are set up together, and culled together by their range of target pixels. Set by hand."""
@@ -109,6 +110,7 @@ class PlacedQuads(NamedTuple):
 
 
 NO_GAPS = np.empty(0, np.float32)
+"""Of a mesh without cut edges."""
 
 
 def empty_blocks(count: int, shared_points: int = 0, shared_blocks: int = 0) -> QuadBlocks:

@@ -29,6 +29,7 @@ LANES = 8
 """Numbers in a vector."""
 
 _HALF_LANES = LANES // 2
+"""Numbers in half a vector."""
 
 FIXED_POINT_UNIT, FIXED_TEXEL = 32767, 1 << 7
 """Fixed point: the weight 1, and the factor of texels of 8 bits."""

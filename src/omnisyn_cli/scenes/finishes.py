@@ -15,6 +15,7 @@ ALL_PURPOSE_PATTERNS = (
 """Patterns that anything can be covered with."""
 
 ALL_COLOURS = (*palette.INTERIOR, *palette.CLOTH, *palette.SIGN, *palette.WOOD, *palette.BRICK, *palette.METAL)
+"""Of surfaces that can have any colour."""
 
 
 def wall_finish(rng: np.random.Generator, use: str) -> Material:

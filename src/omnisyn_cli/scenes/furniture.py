@@ -12,6 +12,7 @@ from omnisyn_cli.scenes.scene import LocalFrame
 
 BLACK_PLASTIC = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
+"""Materials of legs and feet. Set by hand."""
 
 
 def wood(rng: np.random.Generator, plank: float = 0.5) -> Material:

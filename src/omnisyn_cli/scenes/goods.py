@@ -10,6 +10,7 @@ from omnisyn_cli.scenes.scene import LocalFrame, Point
 CARTON = Material(
     Pattern.CARTON, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), (0.88, 0.87, 0.84), grain=0.08, grain_size=0.4, seed=3
 )
+"""Of boxes. Set by hand."""
 
 
 def carton_pile(local: LocalFrame) -> None:

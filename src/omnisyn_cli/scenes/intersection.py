@@ -118,6 +118,7 @@ EYE, NEAR_COLUMN, HALF_COLUMN = int(ShapeColumn.EYE), int(ShapeColumn.NEAR), int
 SHAPE, SIDES, CAPS, VARIATION, PERFORATION_COLUMN = map(int, AttributeColumn)
 PLANE, WORLD_EYE = int(Scalar.GROUND_PLANE), int(Scalar.EYE)
 GRID_AXES, GRID_FRAME = int(Scalar.LIGHT_GRID_AXES), int(Scalar.LIGHT_GRID_FRAME)
+"""Columns and rows of packed scenes as plain numbers, which kernels need."""
 
 
 @kernel

@@ -111,6 +111,7 @@ def random_material(
 
 
 _PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
+"""Patterns with holes, which rays pass."""
 
 
 def pack_materials(materials: Sequence[Material]) -> Float[np.ndarray, "m p"]:

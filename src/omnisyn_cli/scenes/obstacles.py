@@ -14,6 +14,7 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Shape, Walkway
 
 DARK_GAP_MATERIAL = Material(Pattern.PLAIN, (0.03, 0.03, 0.03), (0.02, 0.02, 0.02), grain=0.02)
+"""Nearly black: a gap that no light reaches. Set by hand."""
 
 MAX_PLACEMENT_TRIES = 12
 """Places that are tried for an object before it is left out."""

@@ -22,6 +22,7 @@ from omnisyn_cli.scenes.shader import shade, tone
 from omnisyn_cli.scenes.world import SKY_ID, Scalar, pack_scene, seen_from
 
 EXPOSURE = int(Scalar.EXPOSURE)
+"""Its place in a packed world."""
 
 TILE_SIDES = (16, 4)
 """Pixels along the side of a large and of a small tile; chosen by timing."""

@@ -11,6 +11,7 @@ from omnisyn_cli.scenes.panorama import trace_rays
 from omnisyn_cli.scenes.scene import Scene, Walkway
 
 _MAX_ATTEMPTS = 400
+"""Paths that are drawn before a scene has no room for one. Set by hand."""
 
 _MAX_CLIMB = 2.0
 """Metres of a path that goes straight up, unless more is asked for."""

@@ -11,6 +11,7 @@ from omnisyn_cli.scenes.textures import FacePoint, pattern_at
 from omnisyn_cli.scenes.world import GROUND_ID, SKY_ID, AttributeColumn, Scalar, ShapeColumn
 
 UNDER_MAPPING, FITTED_MAPPING = float(PhotoMapping.UNDER), float(PhotoMapping.FITTED)
+"""As a packed material has them, in floats."""
 
 PATCHES_PER_PHOTO = 0.6
 """Patches of the ground whose texture is turned, per width of a photograph; chosen by eye."""

@@ -14,6 +14,7 @@ from omnisyn_cli.scenes.materials import MaterialColumn, Pattern
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
 
 (PATTERN, _, _, _, CELL_U, CELL_V, LINE, GRAIN, GRAIN_SIZE, DETAIL, _, _, SEED, _, _) = map(int, MaterialColumn)
+"""Columns of a packed material as plain numbers, which kernels need."""
 
 
 class FacePoint(NamedTuple):

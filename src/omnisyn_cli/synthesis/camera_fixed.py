@@ -24,6 +24,7 @@ MAP_SIZE, MAP_DEG = 200, 70.0
 """Rows of a map, and the angle from the nadir to the middle of its sides."""
 
 DEG_PER_PIXEL = 2.0 * MAP_DEG / MAP_SIZE
+"""Of a map: 0.7°."""
 
 CAP_RADII_DEG = (4.0, 45.0)
 """Least and largest radius of a cap. Set by hand, as are all constants of this file."""

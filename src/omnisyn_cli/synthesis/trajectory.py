@@ -21,6 +21,7 @@ Ease = Literal["linear", "smooth"]
 Heading = Literal["panoramas", "first", "fixed", "travel"]
 EASES: tuple[Ease, ...] = ("linear", "smooth")
 HEADINGS: tuple[Heading, ...] = ("panoramas", "first", "fixed", "travel")
+"""How time runs along the way, and where the image centre looks, by the values of options."""
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ POSE_ERROR_SHARE, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
 """Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians."""
 
 COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
+"""Of the loss at coarse scales, of gradients and of the Laplace scale, beside 1. Set by hand."""
 
 GRADIENT_SCALES = 4
 """Gradients are compared at strides 1, 2, 4, …"""

@@ -38,6 +38,7 @@ BORDER_JUMP = 0.03
 """Difference of √(inverse depth × baseline) that a border makes."""
 
 MAX_ISLANDS = 6
+"""Wrong islands that pass the left-right check, fewer than this per pair. Set by hand."""
 
 AMBIGUITY = 0.35
 """Largest peak ratio of what is wrong; what is right is between this and 1."""

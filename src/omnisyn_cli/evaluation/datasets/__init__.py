@@ -39,6 +39,7 @@ FORMATS: Mapping[str, Finder] = {
 """What finds the scenes of a folder, by the name of the layout; tried in this order."""
 
 EXPECTED_FILES = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
+"""By which the layouts are recognised, for messages."""
 
 
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:

@@ -37,6 +37,7 @@ from omnisyn_cli.poses.formats.habitat import habitat_pose
 from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, Panorama, pose_on_floor, read_tour
 
 HABITAT_POSITION = "*/tran.txt"
+"""The file of a panorama's position in data sets rendered by Habitat."""
 
 
 def own_scenes(folder: Path, *, allow_outside: bool = False) -> list[SceneSource]:
@@ -116,6 +117,7 @@ def _room_frames(folder: Path, floor: str, panoramas: dict[str, Panorama], scale
 
 
 RUN_POSES = "gnss_data.json"
+"""Positions of a run in the authors' CARLA data."""
 
 LENGTH_TOLERANCE = 0.05
 """Relative difference of two measures of one length that is put down to the shape of the earth."""

@@ -13,6 +13,7 @@ FAR_BOUND = 100.0
 """Metres; an estimate beyond, infinity included, counts as this far in the metrics that are measured in metres."""
 
 DELTAS = {"105": 1.05, "110": 1.10, "125": 1.25, "125_squared": 1.25**2, "125_cubed": 1.25**3}
+"""Greatest ratios of depth that count as right, by the ends of their keys; 1.25 and its powers are usual."""
 
 
 def scored_pixels(true_inverse_depth: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:

@@ -16,6 +16,7 @@ from omnisyn_cli.geometry.sphere import mean_over_sphere
 Picture = Float[np.ndarray, "height width 3"]
 
 PEAK = 1.0
+"""The greatest value of an image."""
 
 SSIM_WINDOW = 11
 """Pixels along the side of the Gaussian window (Wang et al., 2004)."""

@@ -20,6 +20,7 @@ SMALLEST_FACE = 64
 """Pixels; a network of five poolings has nothing left of less."""
 
 MODEL_INPUTS = "two float images (batch, 3, height, width) in [-1, 1]"
+"""What an LPIPS network has to take, for messages."""
 
 
 class Lpips:

@@ -39,8 +39,10 @@ if TYPE_CHECKING:
 __all__ = ["Duration", "expected_duration", "probe", "remember_run", "shipped_table"]
 
 TABLE_NAME = "pareto.json"
+"""Figures of speed that come with the program."""
 
 RUNS_NAME = "runs.json"
+"""Earlier runs on this machine, in the cache folder."""
 
 MAX_RUNS = 40
 """That are remembered."""
@@ -58,6 +60,7 @@ MIN_WORK_SECONDS = 0.5
 """Of work, below which a run says nothing about the pace."""
 
 PROBE_REPEATS = 4
+"""Of the probe of speed; the fastest counts, as others may disturb it. Set by hand."""
 
 MIN_CORES = 0.9
 """A run that nothing disturbs keeps at least about one core busy."""
@@ -97,6 +100,7 @@ class Run:
 
 
 RUNS = TypeAdapter(list[Run])
+"""Reads and checks them."""
 
 
 @dataclass(frozen=True)

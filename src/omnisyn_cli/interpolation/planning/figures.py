@@ -44,6 +44,7 @@ STANDARD_FRAMES = 90
 """Frames of the clip that settings are compared by: three seconds between two panoramas."""
 
 TABLE_VERSION = 2
+"""Raised whenever old tables cannot be read any more."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Setting:
 
 
 DEFAULT_CONFIG = RunConfig()
+"""Of figures that name no config."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from omnisyn_cli.scenes.mesh.raycast import MeshCaster
 __all__ = ["Lighting", "draw_lighting"]
 
 GOLDEN_RATIO = (1.0 + math.sqrt(5.0)) / 2.0
+"""Turns of a spiral by it spread points evenly (Fibonacci lattice)."""
 
 OFFSET = 2e-3
 """Metres above its surface that a point asks for light."""

@@ -44,6 +44,7 @@ LONGEST_WALK = 12.0
 """Metres."""
 
 ATTEMPTS = 200
+"""Places that are drawn before a mesh is given up. Set by hand."""
 
 PLACES = 40
 """That a walk begins at one of."""

@@ -10,6 +10,7 @@ from omnisyn_cli.scenes.mesh.raycast import Hits
 __all__ = ["SurfaceColours"]
 
 MIP_LEVELS = 10
+"""At most: textures of 1024 texels come down to 2."""
 
 
 class SurfaceColours:

@@ -11,6 +11,7 @@ from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 __all__ = ["papered_mesh", "varied_mesh"]
 
 SCALES = (0.75, 1.35)
+"""Least and largest factor of the size. Set by hand."""
 
 DROP_CHANCE = 0.12
 """Chance that a small material's faces are left out."""

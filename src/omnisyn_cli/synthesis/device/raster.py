@@ -28,6 +28,7 @@ MIN_POLE_SINE = 1e-8
 
 QUADS_PER_STEP = 1 << 18
 CANDIDATES_PER_STEP = 1 << 21
+"""Quads, and pixels to be tested, of a step: they bound its memory. Set by hand."""
 
 EDGE_OVERLAP_RADIANS = 1e-9
 """Radians by which edges are moved outwards, far beyond rounding: no gap opens between neighbours or at a vertex."""
