@@ -44,7 +44,7 @@ FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS, LOG_WEIGHT
     14,
 )
 SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 15, 17, 18, 19, 20
-"""First channel of each group, and how many there are; see :func:`fusion_input_channels`. Checkpoints depend on them."""
+"""First channel of each group, and their number, see :func:`fusion_input_channels`. Checkpoints depend on them."""
 
 MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0
 """Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway."""

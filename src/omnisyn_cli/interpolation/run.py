@@ -159,7 +159,7 @@ def run_interpolation(
             with clock("encode"):
                 for sink in sinks:
                     sink.finish()
-    keeper.write_walk()
+    keeper.write_viewer()
     return Summary(plan, clock.with_total(), keeper.pairs, loader.left_out, keeper.made)
 
 
@@ -221,7 +221,7 @@ class _PairKeeper:
                 views = self._loader[index], self._loader[index + 1]
                 self._packer.add(pair_surfaces(self._plan, index, views, depths, check))
 
-    def write_walk(self) -> None:
+    def write_viewer(self) -> None:
         """The page, if one is asked for."""
         if self._packer is not None and self._plan.job.view is not None:
             with self._clock("walk"):

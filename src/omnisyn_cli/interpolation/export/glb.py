@@ -23,9 +23,10 @@ MAX_GLB_BYTES = 2**32 - 1
 """Lengths in a GLB are numbers of 32 bits."""
 
 TRIANGLES, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 4, 34962, 34963
-LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE, REPEAT = 9729, 9987, 33071, 10497
+LINEAR_FILTER, MIPMAP_FILTER, CLAMP_TO_EDGE, REPEAT = 9729, 9987, 33071, 10497
 COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 ELEMENTS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+"""Numbers and words of glTF 2.0, which takes them from OpenGL; components by numpy's type, elements by their length."""
 
 
 class GltfModel:
@@ -40,7 +41,7 @@ class GltfModel:
             "scene": 0, "scenes": [{"nodes": []}], "nodes": [], "meshes": [], "materials": [], "textures": [],
             "images": [], "accessors": [], "bufferViews": [],
             "samplers": [{
-                "magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": REPEAT, "wrapT": CLAMP_TO_EDGE,
+                "magFilter": LINEAR_FILTER, "minFilter": MIPMAP_FILTER, "wrapS": REPEAT, "wrapT": CLAMP_TO_EDGE,
             }],
         }  # fmt: skip
 

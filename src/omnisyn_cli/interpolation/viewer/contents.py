@@ -79,8 +79,8 @@ class ViewOptions:
 
 
 @dataclass(frozen=True)
-class Walk:
-    """A walk that has been packed.
+class PackedViewer:
+    """A web viewer that has been packed.
 
     Attributes:
         title: of the page.
@@ -131,7 +131,7 @@ class TourPacker:
             "exposure": None if gains is None else self.blocks.add(zlib.compress(np.array(gains, "<f4").tobytes(), 9)),
         }
 
-    def packed(self) -> Walk:
+    def packed(self) -> PackedViewer:
         """All of it."""
         tour = self._plan.tour
         tables = np.concatenate([QUARTER_INVERSE_DEPTHS.reshape(16, -1), QUARTER_DIRECTIONS.reshape(1, -1)])
@@ -142,7 +142,7 @@ class TourPacker:
             "hotspots": self._hotspots(tour.hotspots), "plan": None if tour.plan is None else self._floor(tour.plan),
             "tables": tables.ravel().tolist(), "files": None,
         }  # fmt: skip
-        return Walk(tour.title, manifest, tuple(self._contents))
+        return PackedViewer(tour.title, manifest, tuple(self._contents))
 
     def _panorama(self, surface: PanoramaSurface) -> dict[str, Any]:
         view, width = surface.view, self._options.texture

@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omnisyn_cli.interpolation.viewer.contents import RULES, Walk
+from omnisyn_cli.interpolation.viewer.contents import RULES, PackedViewer
 from omnisyn_cli.io.outputs import write_parts
 
 MAX_PAGE_BYTES = 32 * 2**20
@@ -34,26 +34,26 @@ def block_name(number: int) -> str:
     return f"{number:04d}.bin"
 
 
-def write_page(path: Path, walk: Walk) -> int:
-    """Write the walk as one file, whole or not at all; how many bytes it has."""
+def write_page(path: Path, packed_viewer: PackedViewer) -> int:
+    """Write the viewer as one file, whole or not at all; how many bytes it has."""
     blocks = "".join(
         f'<script type="text/plain" id="block-{number}">{base64.b64encode(content).decode("ascii")}</script>\n'
-        for number, content in enumerate(walk.contents)
+        for number, content in enumerate(packed_viewer.contents)
     )
-    held = f'<script type="application/json" id="walk">{_for_script(walk.manifest)}</script>\n{blocks}'
-    page = _page(walk.title, held, module_code() + _read("page.js"), folder=False)
+    held = f'<script type="application/json" id="walk">{_for_script(packed_viewer.manifest)}</script>\n{blocks}'
+    page = _page(packed_viewer.title, held, module_code() + _read("page.js"), folder=False)
     write_parts(path, [page])
     return len(page)
 
 
-def write_folder(folder: Path, walk: Walk, blocks: int) -> int:
+def write_folder(folder: Path, packed_viewer: PackedViewer, blocks: int) -> int:
     """Write what a folder has besides its blocks, of which there are so many; how many bytes that is."""
     names = [block_name(number) for number in range(blocks)]
     script = f"import {{ OmnisynWalk }} from './{MODULE_NAME}';\n{_read('page.js')}"
     files = {
-        INDEX_NAME: _page(walk.title, NEEDS_A_SERVER, script, folder=True),
+        INDEX_NAME: _page(packed_viewer.title, NEEDS_A_SERVER, script, folder=True),
         MODULE_NAME: module_code().encode(),
-        MANIFEST_NAME: _for_script({**walk.manifest, "files": names}).encode(),
+        MANIFEST_NAME: _for_script({**packed_viewer.manifest, "files": names}).encode(),
     }
     for name, content in files.items():
         write_parts(folder / name, [content])

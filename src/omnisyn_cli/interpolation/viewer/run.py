@@ -188,11 +188,11 @@ def run_view(
             if on_pair:
                 on_pair(done)
         with clock("write"):
-            walk = packer.packed()
+            packed_viewer = packer.packed()
             if staged is None:
-                size = write_page(plan.job.output, walk)
+                size = write_page(plan.job.output, packed_viewer)
             else:
-                size = packer.blocks.size + write_folder(staged, walk, len(packer.blocks))
+                size = packer.blocks.size + write_folder(staged, packed_viewer, len(packer.blocks))
     return ViewSummary(plan, clock.with_total(), pairs, left_out, size)
 
 

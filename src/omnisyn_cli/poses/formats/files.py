@@ -88,7 +88,7 @@ def images_in(folder: Path) -> list[Path]:
     return sorted((path for path in found if not path.name.startswith(".")), key=lambda path: natural_key(path.name))
 
 
-def usual_folder(folder: Path, options: ImportOptions) -> Path:
+def default_folder(folder: Path, options: ImportOptions) -> Path:
     """Where the panoramas of a trajectory lie: ``--images``, or the first of ``.``, ``images`` and ``rgb`` with any."""
     if options.images is not None:
         return options.images

@@ -20,7 +20,7 @@ from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.geographic import local_world, origin_note
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, noted
 
-SPHERICAL = frozenset({"spherical", "equirectangular"})
+SPHERICAL_PROJECTIONS = frozenset({"spherical", "equirectangular"})
 
 MAX_ABSOLUTE = 1e9
 """Radians or metres; more is a mistake, and its square might overflow."""
@@ -102,4 +102,4 @@ def _is_panorama(path: Path, name: str, shot: Shot, reconstruction: Reconstructi
             f"{path}: shots.'{name}'.camera: expected one of the cameras {listed(list(reconstruction.cameras))}, "
             f"got '{shot.camera}'; correct it"
         )
-    return reconstruction.cameras[shot.camera].projection_type.lower() in SPHERICAL
+    return reconstruction.cameras[shot.camera].projection_type.lower() in SPHERICAL_PROJECTIONS

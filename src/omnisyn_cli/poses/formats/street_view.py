@@ -29,7 +29,7 @@ COLUMNS = {
 }
 """What a column may be called, in small letters; the first name that occurs wins."""
 
-REQUIRED = ("image", "latitude", "longitude", "heading")
+REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
 
 MAX_RADIAN_HEADING = 6.3
 """Just above 2π: headings that all stay below may be radians."""
@@ -103,7 +103,7 @@ def _renamed(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_columns(where: str, names: list[str]) -> None:
     known = {name.strip().lower() for name in names}
-    for required in REQUIRED:
+    for required in REQUIRED_COLUMNS:
         if not known & set(COLUMNS[required]):
             raise PoseError(
                 f"{where}: expected {required} ({' or '.join(COLUMNS[required][:4])}), got only {listed(names, 8)}; "
@@ -112,7 +112,7 @@ def _check_columns(where: str, names: list[str]) -> None:
 
 
 def _place(where: str, row: Mapping[str, Any]) -> Place:
-    names = [name for name in PLACE_LIMITS if name in REQUIRED or name in row]
+    names = [name for name in PLACE_LIMITS if name in REQUIRED_COLUMNS or name in row]
     place = Place(**{name: float(numbers(where, [str(row.get(name, ""))], 1, name)[0]) for name in names})
     place.check(where, "correct it")
     return place

@@ -17,7 +17,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.entries import checked_quaternion, checked_rotation
-from omnisyn_cli.poses.formats.files import data_lines, find_view, images_in, numbers, read_array, usual_folder
+from omnisyn_cli.poses.formats.files import data_lines, default_folder, find_view, images_in, numbers, read_array
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, foreign_from_pose, noted
 
 NAME_COMMENT = "# image "
@@ -72,13 +72,13 @@ def _named_by_time(source: Path, stamped: Mapping[float, Pose], options: ImportO
     if association:
         note = "images: named by the time stamps that the trajectory, or rgb.txt beside it, lists"
     else:
-        stamps = {path.name: _stamp(path.stem) for path in images_in(usual_folder(source.parent, options))}
+        stamps = {path.name: _stamp(path.stem) for path in images_in(default_folder(source.parent, options))}
         association = {stamp: name for name, stamp in stamps.items() if stamp is not None}
         note = f"images: named by time stamp, within {options.time_tolerance:g} s"
     pairs = _matched(stamped, association, options.time_tolerance)
     if pairs is None:
         return _named_in_order(source, list(stamped.values()), options)
-    folders = [source.parent, usual_folder(source.parent, options)]
+    folders = [source.parent, default_folder(source.parent, options)]
     views = tuple(find_view(str(source), name, stamped[stamp], folders, options) for stamp, name in pairs)
     without = len(stamped) - len(views)
     return ImportedPoses(
@@ -127,7 +127,7 @@ def _matched(
 
 
 def _named_in_order(source: Path, poses: Sequence[Pose], options: ImportOptions) -> ImportedPoses:
-    folder = usual_folder(source.parent, options)
+    folder = default_folder(source.parent, options)
     paths = images_in(folder)
     if len(paths) != len(poses):
         raise PoseError(
@@ -173,7 +173,7 @@ def read_authors(source: Path, options: ImportOptions) -> ImportedPoses:
         )
         for index, (rotation, translation) in enumerate(pairs)
     ]
-    images, order = _images(usual_folder(folder, options), count)
+    images, order = _images(default_folder(folder, options), count)
     views = tuple(ImportedView(path.name, poses[index], path) for index, path in images)
     return ImportedPoses(views, ("distances: metres, as in CARLA", f"images: {order}"))
 
