@@ -122,9 +122,10 @@ def test_every_link_is_walked_in_both_directions_with_its_heading_kept(walk: Wal
 def test_the_wheel_and_a_click_take_the_way_that_is_looked_at(walk: WalkPage) -> None:
     walk.page.mouse.move(320, 200)
     for yaw, expected in ((0, "p5"), (90, "p2"), (180, "p6"), (-90, "p0")):
-        stand(walk, "p1", yaw)
-        walk.page.mouse.wheel(0, -2000)
-        walk.until("omnisyn.page.walker.panorama !== null")
+        stand(walk, "p1", yaw, -88)
+        walk.page.mouse.wheel(0, -100)
+        walk.until("omnisyn.page.walker.panorama === null")
+        assert walk.page.evaluate("omnisyn.page.walker.link.ends").count(int(expected[1])) == 1
         stand(walk, "p1", yaw, 20)
         walk.page.mouse.click(320, 200)
         walk.until("omnisyn.page.walker.goal === null && omnisyn.page.walker.panorama !== 1")

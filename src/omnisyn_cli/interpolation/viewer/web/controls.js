@@ -17,6 +17,7 @@ class Controls {
   constructor(element, keys, walker, onChange, onTap, signal) {
     Object.assign(this, { element, walker, onChange, onTap });
     this.pointers = new Map();
+    this.aside = [0, 0]; // metres to the right and up, until the next picture
     this.held = new Set();
     element.addEventListener('pointerdown', (event) => this.press(event));
     element.addEventListener('pointermove', (event) => this.move(event));
@@ -54,7 +55,7 @@ class Controls {
         this.walker.zoom(clamp(gap(before) / Math.max(gap(now), 1), 0.5, 2));
       }
       const metres = this.walker.reach / this.element.clientHeight; // two fingers or the right button: beside the way
-      this.walker.step(-dx * metres, dy * metres, 0);
+      this.aside = [this.aside[0] - dx * metres, this.aside[1] + dy * metres]; // fingers of a pinch cancel each other
     }
     this.onChange();
   }
@@ -92,6 +93,8 @@ class Controls {
 
   // Whether keys that are held moved anything in so many seconds.
   advance(seconds) {
+    const [right, up] = this.aside.splice(0, 2, 0, 0);
+    if (Math.hypot(right, up) > 1e-9) this.walker.step(right, up, 0);
     for (const code of this.held) this.follow(code, seconds);
     return this.held.size > 0;
   }

@@ -17,7 +17,7 @@ class Headset {
     const space = await session.requestReferenceSpace('local');
     session.addEventListener('end', onEnd);
     session.addEventListener('select', () => {
-      const way = this.walker.wayOut(this.walker.ahead);
+      const way = this.walker.wayOut(headingOf(this.walker.ahead));
       if (way) this.walker.goTo(way.link.ends[way.sense > 0 ? 1 : 0], false);
     });
     let before = null;

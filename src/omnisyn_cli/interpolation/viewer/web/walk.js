@@ -201,7 +201,7 @@ export class OmnisynWalk extends EventTarget {
     const box = this.$('stage').getBoundingClientRect(), lens = lensOf(this.walker.fov, [box.width, box.height]);
     const at = [(x - box.left) / box.width, (y - box.top) / box.height];
     const ray = rotated(this.walker.rotation, [(2 * at[0] - 1) / lens[0], (1 - 2 * at[1]) / lens[1], -1]);
-    const way = this.walker.wayOut(times(ray, 1 / length(ray)));
+    const way = this.walker.wayOut(headingOf(times(ray, 1 / length(ray))));
     return way && this.goTo(way.link.ends[way.sense > 0 ? 1 : 0]);
   }
 

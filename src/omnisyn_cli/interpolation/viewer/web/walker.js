@@ -5,6 +5,13 @@ const SPEED = 1.2; // metres a second
 const MIN_AHEAD = 0.1; // cosine of the angle to a link up to which it leads that way
 const FIELD = { least: 0.35, usual: 1.15, most: 2.0 }; // radians from top to bottom
 
+// Where a look leads: mostly on the level, so that whoever looks at the ground walks on; up and down where ways do.
+function headingOf(direction) {
+  const { yaw } = lookOfDirection(direction);
+  const heading = add([Math.sin(yaw), 0, -Math.cos(yaw)], times(direction, 0.5));
+  return times(heading, 1 / length(heading));
+}
+
 class Walker {
   constructor(world) {
     this.world = world;
@@ -116,7 +123,7 @@ class Walker {
   }
 
   // Ahead by so many metres, or back by negative ones; at every crossing the way that one looks at.
-  walk(metres, direction = times(this.ahead, Math.sign(metres)), sign = Math.sign(metres)) {
+  walk(metres, direction = times(headingOf(this.ahead), Math.sign(metres)), sign = Math.sign(metres)) {
     this.hasMoved = true;
     for (let rest = Math.abs(metres), k = 0; rest > 1e-9 && k < 100; k++) {
       const way = this.wayOut(direction, sign);
