@@ -23,6 +23,7 @@ def npm() -> str:
     program = shutil.which("npm")
     if program is None:
         pytest.skip("needs npm")
-    if subprocess.run([program, "ping"], capture_output=True, timeout=60, check=False).returncode:
+    asked = [program, "ping", "--fetch-retries=0", "--fetch-timeout=20000"]
+    if subprocess.run(asked, capture_output=True, check=False).returncode:
         pytest.skip("needs npm's registry, which does not answer")
     return program
