@@ -110,21 +110,22 @@ def refine_pose(start: Pose, matches: Matches, scale: float) -> Pose:
     """Refine ``first_from_second`` with a position of length 1; matches are wrong beyond ``scale`` radians."""
     pose, damping = start, 1e-4
     spread = 3.0 * scale  # wide at first, so that a rough start still sees the right matches
-    weight = _weights(pose, matches, spread)
+    residual = epipolar_residual(pose, matches)
+    weight = _weights(pose, matches, residual, spread)
     for _ in range(MAX_ITERATIONS):
-        residual = epipolar_residual(pose, matches)
         jacobian = _jacobian(pose, matches)
         hessian, gradient = _normal_equations(jacobian, residual, weight)
         hessian += damping * np.diag(np.diag(hessian) + 1e-12)
         step = -np.linalg.solve(hessian, gradient)
         tried = retract(pose, step)
-        better = np.sum(weight * epipolar_residual(tried, matches) ** 2) <= np.sum(weight * residual**2)
+        residual_there = epipolar_residual(tried, matches)
+        better = np.sum(weight * residual_there**2) <= np.sum(weight * residual**2)
         damping = damping * 0.1 if better else damping * 10.0
         if better:
-            pose = tried
+            pose, residual = tried, residual_there
             # graduated non-convexity: the kernel narrows by at most 0.6 a step, down to the noise
-            spread = max(0.6 * spread, min(scale, _kernel_width(pose, matches, scale)))
-            weight = _weights(pose, matches, spread)
+            spread = max(0.6 * spread, min(scale, _kernel_width(residual, scale)))
+            weight = _weights(pose, matches, residual, spread)
         if np.linalg.norm(step) < MIN_STEP:
             break
     return pose
@@ -205,13 +206,11 @@ def _normal_equations(jacobian: np.ndarray, residual: np.ndarray, weight: np.nda
     return hessian, np.einsum("ni,n,n->i", jacobian, weight, residual)
 
 
-def _kernel_width(pose: Pose, matches: Matches, scale: float) -> float:
+def _kernel_width(residual: np.ndarray, scale: float) -> float:
     """Width of the robust kernel: three standard deviations of the matches that fit within ``scale``."""
-    residual = np.abs(epipolar_residual(pose, matches))
-    near = residual[residual < scale]
+    near = np.abs(residual)[np.abs(residual) < scale]
     return scale if near.size < 8 else max(3.0 * MAD_TO_STD * float(np.median(near)), 0.2 * scale)
 
 
-def _weights(pose: Pose, matches: Matches, spread: float) -> np.ndarray:
-    residual = epipolar_residual(pose, matches)
+def _weights(pose: Pose, matches: Matches, residual: np.ndarray, spread: float) -> np.ndarray:
     return np.asarray(is_in_front(pose, matches, spread) / (1.0 + (residual / spread) ** 2) ** 2)
