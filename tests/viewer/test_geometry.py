@@ -20,7 +20,7 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
 from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
-from omnisyn_cli.interpolation.viewer.contents import TourPacker, Walk
+from omnisyn_cli.interpolation.viewer.contents import PackedViewer, TourPacker
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.pipeline.config import RunConfig
@@ -44,7 +44,7 @@ class Shot:
 
     plan: TourPlan
     pair: PairSurfaces
-    walk: Walk
+    walk: PackedViewer
     page: WalkPage
     opened: Any
 
