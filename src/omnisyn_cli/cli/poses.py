@@ -240,7 +240,7 @@ def refine(
     check_kept([output], (poses, *images))
     check_companions_named(output, pose_file.panoramas, allow_outside=allow_outside)
     refined = refine_poses(images, pose_file, _picture_options(**options))
-    write_poses(output, refined.panoramas, allow_outside=allow_outside)
+    write_poses(output, refined.panoramas, allow_outside=allow_outside, links=pose_file.links)
     _report([*refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined"], output, quiet)
 
 
