@@ -11,7 +11,13 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.poses.registration import conventions, least_squares
 from omnisyn_cli.poses.registration.conventions import ConventionHypothesis
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.robust import (
+    Estimate,
+    estimate_from_subset,
+    estimate_relative_pose,
+    inlier_threshold,
+    support_mask,
+)
 
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
@@ -102,6 +108,12 @@ def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
     given_relative = least_squares.relative_pose(first, second)
     known = [given_relative] if given_relative.position.any() else []
     estimate = estimate_relative_pose(matches, known)
+    if estimate is not None and known and not estimate.have_same_position:
+        # Repeated things support opposite directions: if as many matches agree with the given one, it is not to blame.
+        supporting = support_mask(given_relative, matches, inlier_threshold(matches))
+        is_opposite = _pose_errors(given_relative, estimate)[1] > math.radians(90.0)
+        if is_opposite and supporting.sum() >= estimate.inliers.sum():
+            estimate = estimate_from_subset(matches, supporting, known)
     if estimate is None:
         return Diagnosis("unknown", len(matches), None, None, (), is_refinable=False)
     given = _fit(given_relative, estimate, matches)

@@ -8,7 +8,7 @@ is recognised by a pure rotation explaining as many matches.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -147,6 +147,18 @@ def estimate_relative_pose(
         return _in_place(matches, rotation, turned, scale) if is_turn else None
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
     return Estimate(pose, inliers, residual, spread, have_same_position=False)
+
+
+def estimate_from_subset(
+    matches: Matches, subset: Bool[np.ndarray, " n"], known: Sequence[Pose] = (), verticals: Verticals | None = None
+) -> Estimate | None:
+    """The same from some of the matches; its inliers are of all."""
+    estimate = estimate_relative_pose(matches.select(subset), known, verticals)
+    if estimate is None:
+        return None
+    inliers = np.zeros(len(matches), bool)
+    inliers[np.flatnonzero(subset)[estimate.inliers]] = True
+    return replace(estimate, inliers=inliers)
 
 
 def inlier_threshold(matches: Matches) -> float:

@@ -24,11 +24,24 @@ from omnisyn_cli.poses.registration.levelled_features import (
     find_levelled_features,
     match_levelled_features,
 )
-from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose
+from omnisyn_cli.poses.registration.robust import (
+    Estimate,
+    Verticals,
+    estimate_from_subset,
+    estimate_relative_pose,
+    inlier_threshold,
+    support_mask,
+)
+from omnisyn_cli.stereo.dense_agreement import dense_agreement
+from omnisyn_cli.types import View
 
 ENOUGH_INLIERS = 60
 """Agreeing matches from which on no more are looked for; with fewer, a pose is often off by a degree."""
 
+
+MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
+"""Share of its matches that the opposite of a direction needs to be tried, and how much better pictures have to agree
+with it: the true direction is ahead by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`)."""
 
 LIKENESS_FEATURES = 600
 """Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take."""
@@ -56,6 +69,11 @@ class Scan:
     features: Features
     lines: Lines
     threads: int | None = None
+
+    @property
+    def view(self) -> View:
+        """The small picture, upright in its own frame."""
+        return View(self.small, Pose.identity(), self.usable)
 
     @cached_property
     def vertical(self) -> Vertical:
@@ -104,8 +122,31 @@ def register_pair(
     estimate = estimate_relative_pose(matches, known, verticals)
     is_enough = estimate is not None and (estimate.have_same_position or estimate.inliers.sum() >= ENOUGH_INLIERS)
     if is_enough or not is_thorough:
-        return (estimate if is_enough else None), matches
+        kept = estimate if is_enough else None
+        return _with_right_direction(first, second, kept, matches, verticals), matches
     if estimate is not None:
         known = (*known, estimate.first_from_second)
     matches += match_levelled_features(first.levelled, second.levelled)
-    return estimate_relative_pose(matches, known, verticals), matches
+    estimate = estimate_relative_pose(matches, known, verticals)
+    return _with_right_direction(first, second, estimate, matches, verticals), matches
+
+
+def _with_right_direction(
+    first: Scan, second: Scan, estimate: Estimate | None, matches: Matches, verticals: Verticals | None
+) -> Estimate | None:
+    """The estimate; that of the opposite direction where the pictures agree better with it, or None without one.
+
+    Repeated things can be matched to their neighbours, which are displaced the other way.
+    """
+    if estimate is None or estimate.have_same_position:
+        return estimate
+    pose = estimate.first_from_second
+    opposite = Pose(pose.rotation, -pose.position)
+    rivals = int(support_mask(opposite, matches, inlier_threshold(matches)).sum())
+    if rivals < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
+        return estimate
+    agreement = [dense_agreement(first.view, second.view, each) for each in (pose, opposite)]
+    if agreement[1] < MIN_AGREEMENT_RATIO * agreement[0]:
+        return estimate
+    other = estimate_from_subset(matches, ~estimate.inliers, [opposite], verticals)
+    return None if other is None or other.have_same_position else other
