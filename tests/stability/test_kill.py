@@ -13,8 +13,11 @@ from pathlib import Path
 import pytest
 from stability_samples import command_line, duration, finish, kill_after, visible_files
 
-from omnisyn_cli.io import read_depth, read_panorama
-from synthesis_samples import posed, write_hall
+from omnisyn_cli.io import read_depth, read_panorama, write_image
+from omnisyn_cli.io.placement import Reading
+from synthesis_samples import as_bytes, posed, write_hall
+
+ROOM = Path(__file__).parents[2] / "examples" / "room"
 
 TRAIN = """
 import sys
@@ -55,6 +58,19 @@ def _scenes(folder: Path) -> None:
         write_hall(scene, [posed((0, 0, 0.5 - 0.25 * at)) for at in range(5)], (32, 64))
 
 
+def _photographs(folder: Path) -> None:
+    for name in ("first", "second"):
+        image = read_panorama(ROOM / f"{name}.jpg", reading=Reading(size=(128, 256))).image
+        write_image(folder / f"{name}.png", as_bytes(image))
+
+
+def _jobs(folder: Path) -> None:
+    _hall(folder)
+    common = {"inputs": ["p0.png", "p1.png"], "poses": "poses.json", "encoder_preset": "ultrafast"}
+    jobs = [{"id": f"j{frames}", "frames": frames, **common} for frames in (3, 4)]
+    (folder / "jobs.jsonl").write_text("".join(json.dumps(job) + "\n" for job in jobs))
+
+
 def _pool(folder: Path) -> None:
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "training"))
     from training_samples import make_pool
@@ -79,8 +95,17 @@ VIEW = command_line("view", *PAIR, "-o", "walk.html")
 
 FOLDER = command_line("view", *PAIR, "-o", "walk", "--folder")
 
+FRAMES = command_line("interpolate", *PAIR, "-o", "frames", "--frames", 12)
+
+ESTIMATE = command_line("poses", "estimate", "first.png", "second.png", "--baseline", 1, "-o", "poses.json", "-q")
+
+BATCH = command_line("batch", "jobs.jsonl", "-o", "out", "--workers", 1, "-q")
+
 CASES = {
     "export": Case(_hall, EXPORT, EXPORT),
+    "frames": Case(_hall, FRAMES, FRAMES),
+    "poses estimate": Case(_photographs, ESTIMATE, ESTIMATE),
+    "batch": Case(_jobs, BATCH, BATCH, is_same_bytes=False),
     "view": Case(_hall, VIEW, VIEW),
     "view --folder": Case(_hall, FOLDER, FOLDER),
     "interpolate": Case(_hall, INTERPOLATE, [*INTERPOLATE, "--overwrite"]),
