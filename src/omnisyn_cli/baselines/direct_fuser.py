@@ -35,7 +35,7 @@ SIZE_MULTIPLE = 64
 class DirectFusionNetwork(Protocol):
     """A trained direct fusion network, in whatever runtime."""
 
-    def __call__(self, planes: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
+    def __call__(self, channels: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
         """The picture. Channels are both layers' colours in [0, 1], 0 where nothing is seen, and both seen masks."""
         ...
 

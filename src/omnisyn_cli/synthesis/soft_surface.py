@@ -143,9 +143,10 @@ def _common_surface(
         np.add.at(sums, cells, weight * np.sqrt(baseline / distance))
         np.add.at(weights, cells, weight)
     scales = tuple(zip(SMOOTHING_CELLS, SMOOTHING_WEIGHTS, strict=True))
-    total = sum(share * _blurred(sums, sigma) for sigma, share in scales)
-    weight = sum(share * _blurred(weights, sigma) for sigma, share in scales)
-    return np.asarray((total / weight) ** 2 / baseline, np.float32)
+    total, total_weight = (
+        sum(share * _blurred(values, sigma) for sigma, share in scales) for values in (sums, weights)
+    )
+    return np.asarray((total / total_weight) ** 2 / baseline, np.float32)
 
 
 def _inverse_depth_of(surface: np.ndarray, view: View, middle: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
