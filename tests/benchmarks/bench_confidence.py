@@ -37,10 +37,13 @@ def scene_views(folder: Path) -> list[View]:
     views = []
     for name, entry in (entries[0], entries[len(entries) // 2], entries[-1]):
         image = cv2.resize(read_panorama(folder / name).image, SIZE[::-1], interpolation=cv2.INTER_AREA)
-        if entry.depth is None:
-            raise SystemExit(f"{folder}: expected depth for {name}, got none; name it in poses.json")
-        rho = cv2.resize(read_inverse_depth(entry.depth), SIZE[::-1], interpolation=cv2.INTER_NEAREST)
-        views.append(View(image, entry.pose, None, DepthEstimate(rho, np.ones_like(rho))))
+        known = None
+        if entry.depth is not None:
+            rho = cv2.resize(read_inverse_depth(entry.depth), SIZE[::-1], interpolation=cv2.INTER_NEAREST)
+            known = DepthEstimate(rho, np.ones_like(rho))
+        views.append(View(image, entry.pose, None, known))
+    if views[0].known_depth is None or views[-1].known_depth is None:
+        raise SystemExit(f"{folder}: expected depth of the first and last panorama, got none; name it in poses.json")
     return views
 
 
