@@ -33,9 +33,11 @@ from pathlib import Path
 from omnisyn_cli import interpolate
 folder = Path(sys.argv[1])
 pictures = [folder / "0.png", folder / "1.png"]
-interpolate(pictures, folder / sys.argv[2], folder / "video.mp4", fusion="network", adaptive=True, frames=3, threads=2)
+options = {"fusion": "network", "fallback": "none", "adaptive": True, "frames": 3, "threads": 2}
+interpolate(pictures, folder / sys.argv[2], folder / "video.mp4", **options)
 """
-"""The library starts no further process; two threads have the kernels that one alone can do without."""
+"""The library starts no further process. Two threads have the kernels that one alone can do without, and soft surfaces
+(``fallback``) would do without the network."""
 
 
 @contextmanager
