@@ -28,6 +28,10 @@ WIDTH, HEIGHT = 720, 400
 
 TOLERANCE_DEG = 0.5
 
+PANNELLUM_LINK = (
+    "(id) => viewer.getConfig().hotSpots.find((spot) => (spot.sceneId ?? spot.clickHandlerArgs?.target) === id)"
+)
+
 JAVASCRIPT = {
     "pannellum": {
         "ready": "typeof viewer !== 'undefined' && viewer && viewer.isLoaded()"
@@ -36,8 +40,8 @@ JAVASCRIPT = {
         "turn": "([yaw, pitch]) => viewer.lookAt(pitch, yaw, undefined, false)",
         "view": "[viewer.getYaw(), viewer.getPitch()]",
         "across": "viewer.getHfov()",
-        "link": "(id) => viewer.getConfig().hotSpots.find((spot) => (spot.sceneId ?? spot.clickHandlerArgs?.target) === id).div",
-        "follow": "(id) => viewer.getConfig().hotSpots.find((spot) => (spot.sceneId ?? spot.clickHandlerArgs?.target) === id).div.click()",
+        "link": f"{PANNELLUM_LINK}.div",
+        "follow": f"{PANNELLUM_LINK}.div.click()",
         "marks": ".pnlm-hotspot-base",
         "texts": "[...document.querySelectorAll('.pnlm-tooltip span')].map((mark) => mark.textContent)",
     },

@@ -19,12 +19,16 @@ def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, po
     Args:
         rho: ``(height, width)`` inverse depth of the source, 1/metre.
         mask: of the same shape; which pixels are points.
-        sin_p, cos_p: per source row, of the polar angle.
-        sin_a, cos_a: per source column, of the azimuth.
-        rotation, t: target camera from source camera; ``t`` in metres.
+        sin_p: sine of the polar angle, per source row.
+        cos_p: its cosine.
+        sin_a: sine of the azimuth, per source column.
+        cos_a: its cosine.
+        rotation: of the target camera from the source camera.
+        t: translation of the same, metres.
         scale: of the target, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
         points: written, ``(height, width, 4)``.
-        begin, end: source rows.
+        begin: first source row.
+        end: the row after the last.
     """
     width = rho.shape[1]
     for row in range(begin, end):
@@ -102,9 +106,11 @@ def composite(points, found, features, radius, floor, sin_p, cos_p, out, begin, 
         features: ``(points, channels)``.
         radius: of the discs, radians.
         floor: least squared distance from a disc's centre over its squared radius, which bounds the opacity below 1.
-        sin_p, cos_p: per target row, of the polar angle.
+        sin_p: sine of the polar angle, per target row.
+        cos_p: its cosine.
         out: written, ``(height, width, channels + 1)``.
-        begin, end: target rows.
+        begin: first target row.
+        end: the row after the last.
     """
     width, most = found.shape[1], found.shape[2]
     channels = features.shape[1]
