@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+for _name in ("ORT_DISABLE_TELEMETRY", "ORT_TELEMETRY_DISABLED"):  # either, by release
+    os.environ.setdefault(_name, "1")
 """Releases of ONNX Runtime from 1.29 on tell their maker about every session, unless this is set before they load."""
 
 __all__ = [

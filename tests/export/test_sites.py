@@ -56,7 +56,7 @@ def test_a_site_is_complete_and_says_how_to_get_its_viewer(
     names = [f"{index:04d}_{name}" for index, name in enumerate(("hall", "a_b____c_", "stairs", "garden"))]
     expected = {f"panoramas/{name}.jpg" for name in names} | {f"depth/{name}.depth" for name in names if depth}
     document, _ = VIEWERS[viewer].document
-    assert files == expected | {"index.html", document, "vendor/package.json", "hotspots/0000.png"}
+    assert files == expected | {"index.html", document, "vendor/package.json", "hotspots/0000.jpg"}
     page = (site / "index.html").read_text()
     assert "://" not in page
     assert "<title>A tour &lt;script&gt;alert(1)&lt;/script&gt;</title>" in page

@@ -82,7 +82,9 @@ class _Turn:
     def end(self) -> None:
         """Let the next one see what is on disk now."""
         if self._descriptor >= 0:
-            self._file.unlink(missing_ok=True)
+            with suppress(OSError):  # a folder that can no longer be written
+                if self._is_mine():  # not if the wait was too long: it is another's still
+                    self._file.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = -1
 

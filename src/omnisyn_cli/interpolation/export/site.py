@@ -156,7 +156,7 @@ def hotspot_pictures(tour: Tour) -> dict[Path, str]:
     """Where the site has the picture of each hotspot."""
     every: Iterable[Hotspot] = (*tour.hotspots, *(spot for panorama in tour.panoramas for spot in panorama.hotspots))
     pictures = dict.fromkeys(hotspot.image for hotspot in every if hotspot.image is not None)
-    return {picture: f"{HOTSPOTS}/{index:04d}{picture.suffix.lower()}" for index, picture in enumerate(pictures)}
+    return {picture: f"{HOTSPOTS}/{index:04d}.jpg" for index, picture in enumerate(pictures)}
 
 
 def photograph(view: View, columns: int) -> UInt8[np.ndarray, "rows cols 3"]:

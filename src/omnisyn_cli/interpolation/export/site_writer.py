@@ -1,6 +1,5 @@
 """A tour written as a site for a viewer: level panoramas, the viewer's own description of the tour, and a page."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,12 +28,16 @@ from omnisyn_cli.interpolation.surfaces import PairSurfaces
 from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.ffmpeg_process import read_frames
-from omnisyn_cli.io.outputs import hidden_folder, make_folder, staged_folder, write_errors, write_parts
+from omnisyn_cli.io.images import read_picture
+from omnisyn_cli.io.outputs import hidden_folder, make_folder, staged_folder, write_parts
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.types import View
 
 CLIP_FRAMES, CLIP_FPS, CLIP_CRF = 37, 24.0, 20.0
 """A second and a half, because longer ones make people wait; two thirds of the bytes of other videos."""
+
+HOTSPOT_PIXELS = 2048
+"""Longest side of the picture of a hotspot. Set by hand."""
 
 MAX_CLIP_ROWS = 1024
 """What telephones decode besides showing a sphere."""
@@ -100,8 +103,8 @@ def write_site(
                 _write(staged / name, content)
             for source, name in images.items():
                 make_folder((staged / name).parent, "pictures of hotspots")
-                with write_errors(job.output / name):
-                    shutil.copyfile(source, staged / name)
+                # encoded anew: what else a file holds stays where it is
+                _write(staged / name, jpeg_bytes(read_picture(source, HOTSPOT_PIXELS)))
     return site.links
 
 

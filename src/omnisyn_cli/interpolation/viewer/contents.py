@@ -153,7 +153,7 @@ class TourPacker:
         if view.mask is not None and not view.mask.all():
             mask = self.blocks.add_map(packed_mask(view.mask, width))
         return {
-            "name": image.name,
+            "name": said.name,
             "title": said.title,
             "caption": said.caption,
             "eyeHeight": _eye_height(surface),
@@ -182,8 +182,10 @@ class TourPacker:
 
     def _floor(self, plan: FloorPlan) -> dict[str, Any]:
         """The floor plan, with the places (x, z) of its upper left, upper right and lower left corner."""
-        original_width = read_header(plan.image).width
-        picture = self._picture(plan.image, PLAN_PIXELS)
+        header, picture = read_header(plan.image), self._picture(plan.image, PLAN_PIXELS)
+        # the header tells the sides as stored, the picture stands upright
+        upright = max if picture["width"] > picture["height"] else min
+        original_width = upright(header.width, header.height)
         scale = original_width / picture["width"]
         corners = ((0, 0), (picture["width"], 0), (0, picture["height"]))
         return {**picture, "corners": [plan.position_of(scale * col, scale * row) for col, row in corners]}
