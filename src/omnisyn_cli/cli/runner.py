@@ -72,8 +72,8 @@ def run_job(
         explain_memory_aborts()
         check_device(plan.config)
         stages.log(plan.in_words(values))
-        pairs, count = len(plan.entries) - 1, frames(plan)
-        stages.expect(reading=pairs + 1, depth=pairs, **({"frames": count} if count else {}))
+        count = frames(plan)
+        stages.expect(reading=len(plan.entries), depth=len(plan.pairs), **({"frames": count} if count else {}))
         is_unsaid = quiet or stages.has_bars  # which say it themselves
         with say_when_compiling(is_quiet=is_unsaid, listen=listen), while_compiling(stages.compile):
             run = load()
