@@ -8,7 +8,7 @@ from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
 from omnisyn_cli.pipeline.methods import METHODS
-from omnisyn_cli.pipeline.presets import PRESETS
+from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.session import check_device_of_networks
 
@@ -34,11 +34,12 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     defaults = PRESETS[job.preset].config
     kind = _depth_kind(job, entries, defaults)
     has_default_cut = job.cut is None and job.cut_metres is None
+    is_as_published = job.fallback == "soft" and job.preset in REPRODUCTIONS  # which know nothing of soft surfaces
     return RunConfig(
         DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults)),
         cut=defaults.cut if has_default_cut else job.cut,
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
-        fallback=job.fallback, device=job.device,
+        fallback="none" if is_as_published else job.fallback, device=job.device,
     )  # fmt: skip
 
 
