@@ -40,13 +40,19 @@ def test_frames_come_every_so_many_seconds_and_are_gone_afterwards(video: Path) 
         pass
 
 
-def test_a_video_between_frames_of_a_video(video: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
-    before = listing(Path(tempfile.gettempdir()))
-    result = omnisyn.made("interpolate", video, "--every", "2s", "-o", tmp_path / "out.mp4", "--frames", 3,
+def test_a_video_between_frames_of_a_video(
+    video: Path, tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    temporary = tmp_path / "temporary"  # of its own: other tests run beside this one and clean up behind themselves
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    out = tmp_path / "out"
+    out.mkdir()
+    result = omnisyn.made("interpolate", video, "--every", "2s", "-o", out / "out.mp4", "--frames", 3,
                           "--size", "64x32", "--preset", "fast", "--threads", 2)  # fmt: skip
     assert "16:9, taken for squeezed frames of a 360° video" in result.err
-    assert list(listing(tmp_path)) == ["out.mp4"]
-    assert not [name for name in set(listing(Path(tempfile.gettempdir()))) - set(before) if "omnisyn-frames-" in name]
+    assert list(listing(out)) == ["out.mp4"]
+    assert not [name for name in listing(temporary) if "omnisyn-frames-" in name]
 
 
 def test_videos_and_the_option_go_together(video: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
