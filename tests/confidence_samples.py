@@ -47,7 +47,7 @@ def judged(
     last = disturbed(last, degrees, metres) if degrees or metres else last
     options = SynthesisOptions(first.image.shape[:2], threads=2)
     pair = SurfaceMethod(estimator, options).prepare(0, [first, last])
-    confidence, frame = pair.prepared.check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
+    confidence, frame = pair.prepared.cross_check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
     true = ws_psnr(np.clip(frame.image, 0, 1), middle.image)
     return Judged(name, confidence.score, confidence.expected, true)
 

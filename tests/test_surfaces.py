@@ -23,7 +23,7 @@ def test_every_pair_has_both_views_with_their_depth_and_mesh(tmp_path: Path) -> 
     pairs = list(tour_surfaces(plan))
     assert [[surface.index for surface in pair.surfaces] for pair in pairs] == [[0, 1], [1, 2]]
     for pair in pairs:
-        assert pair.check.confidence.score > 0.9
+        assert pair.cross_check.confidence.score > 0.9
         for surface in pair.surfaces:
             pose = CHAIN[surface.index]
             np.testing.assert_allclose(surface.view.pose.position, pose.position)

@@ -62,7 +62,7 @@ def test_white_balance_is_matched_as_well(room: list[View]) -> None:
 
 def test_pictures_exposed_alike_are_not_changed_at_all(room: list[View]) -> None:
     pair = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE)).prepare(0, [room[0], room[2]])
-    assert pair.prepared.check.curve.is_identity
+    assert pair.prepared.cross_check.curve.is_identity
 
 
 def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: list[View]) -> None:

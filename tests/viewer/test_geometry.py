@@ -206,7 +206,7 @@ def test_six_faces_are_the_frame_of_the_video(shot: Shot, t: float) -> None:
 def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Path, changes: dict[str, float]) -> None:
     other = taken(tmp_path, shot.opened, **changes)
     assert likeness(other, 0.4) >= 38.0
-    assert (other.pair.check.curve.is_identity, other.walk.manifest["panoramas"][0]["mask"] is None) == (
+    assert (other.pair.cross_check.curve.is_identity, other.walk.manifest["panoramas"][0]["mask"] is None) == (
         "gain" not in changes, "nadir" not in changes,
     )  # fmt: skip
     other.page.page.context.close()

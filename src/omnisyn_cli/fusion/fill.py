@@ -64,17 +64,17 @@ class HoleFiller:
         for finer, coarser in zip(self._levels[:-1], self._levels[1:], strict=True):
             self._pull(finer, coarser)
         for finer, coarser in zip(self._levels[-2::-1], self._levels[:0:-1], strict=True):
-            self._push(coarser, finer, keeps_weight=False)
-        self._push(self.half, (image, seen), keeps_weight=True)
+            self._fill_from_coarser(coarser, finer, keeps_weight=False)
+        self._fill_from_coarser(self.half, (image, seen), keeps_weight=True)
 
     def _pull(self, fine: tuple[np.ndarray, np.ndarray], coarse: tuple[np.ndarray, np.ndarray]) -> None:
         self._run(_pull_rows, np.arange(len(coarse[1])), coarse[1], *fine, *coarse)
 
-    def _push(
+    def _fill_from_coarser(
         self, coarse: tuple[np.ndarray, np.ndarray], fine: tuple[np.ndarray, np.ndarray], *, keeps_weight: bool
     ) -> None:
         with_holes = np.flatnonzero(fine[1].min(axis=1) <= 0)
-        self._run(_push_rows, with_holes, fine[1], *coarse, *fine, keeps_weight, quantization_for(fine[0]))
+        self._run(_fill_rows_from_coarser, with_holes, fine[1], *coarse, *fine, keeps_weight, quantization_for(fine[0]))
 
     def _run(self, kernel: Callable[..., None], rows: np.ndarray, written: np.ndarray, *arguments: Any) -> None:
         """A kernel over some rows of the level it writes."""
@@ -108,7 +108,7 @@ def _pull_rows(colour, weight, coarse_colour, coarse_weight, rows):
 
 
 @fast_kernel()
-def _push_rows(coarse_colour, coarse_weight, colour, weight, keeps_weight, quantization, rows):
+def _fill_rows_from_coarser(coarse_colour, coarse_weight, colour, weight, keeps_weight, quantization, rows):
     """Fill the holes of some rows from the next coarser level, bilinearly and by weight; rows end at the poles.
 
     Args:

@@ -68,13 +68,13 @@ class GhostOptions:
 
     Attributes:
         min_difference: least difference of the mean colours in any channel, sRGB values.
-        min_out_of_range: how far one colour has to lie outside of the range of the other layer in nearby cells. A thing
-            that is merely displaced by wrong depth lies inside.
+        min_colour_outside_range: how far one colour has to lie outside of the range of the other layer in nearby
+            cells. A thing that is merely displaced by wrong depth lies inside.
         light_radius: radius in cells over which a common difference counts as light, not as a thing.
     """
 
     min_difference: float = 0.12
-    min_out_of_range: float = 0.08
+    min_colour_outside_range: float = 0.08
     light_radius: int = 12
 
 
@@ -143,7 +143,7 @@ class GhostRemover:
         else:
             rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
             sampled = xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
-        return Layer.from_arrays(sampled, layer.colour_grid(self._rows, self._cols), layer.target_from_source)
+        return Layer.from_arrays(sampled, layer.colours_at_crossings(self._rows, self._cols), layer.target_from_source)
 
     def detect(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
         """The suppression, given both layers as :meth:`downsample` returns them; None without ghosts."""
@@ -215,7 +215,7 @@ class GhostRemover:
         differs = seen & (_channel_max(xp.abs(difference)) > threshold)
         differs &= _channel_max(xp.abs(first.colour - relit)) > threshold
         outside = xp.maximum(_out_of_range(first.colour, relit, seen), _out_of_range(relit, first.colour, seen))
-        differs &= outside > self.options.min_out_of_range
+        differs &= outside > self.options.min_colour_outside_range
         # Opening: erosion by 1 cell drops thin structures. Dilation by 2 gives back that cell, and one cell of margin.
         rest = dilate(xp.astype(~differs, xp.int32), 1)
         return dilate(1 - rest, 2) > 0

@@ -184,12 +184,12 @@ class _PairKeeper:
         if not isinstance(pair, SurfacePair):
             return
         self._current = pair
-        self.pairs[index] = confidence = pair.prepared.check.confidence
+        self.pairs[index] = confidence = pair.prepared.cross_check.confidence
         if pair.prepared.triangles is not None:
             self.made.triangles[index] = pair.prepared.triangles
         self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         refuse_doubtful(self._plan, index, confidence)
-        self._keep(index, pair.depths, pair.prepared.check)
+        self._keep(index, pair.depths, pair.prepared.cross_check)
         self._loader.release_floats(index)
 
     def both_eyes(self, frames: Iterator[Frame]) -> Iterator[Frame]:

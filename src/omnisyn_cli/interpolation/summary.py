@@ -152,7 +152,7 @@ class TourSummary:
             yield "--nadir 25 if a tripod shows"
         if pair.inconsistency > MAX_GOOD_SHARE:
             yield "--mask for people and things that moved"
-        if pair.disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
+        if pair.depth_disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
             yield "omnisyn poses check"
         yield "panoramas closer together"
         if pair.score < MIN_PAIR_SCORE and self.plan.config.fallback in ("none", "soft"):
@@ -218,6 +218,6 @@ def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str 
     first, second = (plan.job.images[view] for view in plan.pairs[index])
     return (
         f"{first.name} and {second.name}: expected a confidence of at least {MIN_PAIR_SCORE:g}, got {pair.score:.2f} "
-        f"({pair.unseen:.0%} unseen, {pair.disagreement:.0%} in disagreement); check the poses, take panoramas that "
-        f"are closer together, or {advice}"
+        f"({pair.unseen:.0%} unseen, {pair.depth_disagreement:.0%} in disagreement); check the poses, take panoramas "
+        f"that are closer together, or {advice}"
     )

@@ -64,12 +64,12 @@ class PairSurfaces:
     Attributes:
         index: of the pair in the plan: in a chain that of its first panorama.
         surfaces: of the first and of the second.
-        check: how differently they are exposed, and how far what is made of them can be relied on.
+        cross_check: how differently they are exposed, and how far what is made of them can be relied on.
     """
 
     index: int
     surfaces: tuple[PanoramaSurface, PanoramaSurface]
-    check: CrossCheck
+    cross_check: CrossCheck
 
 
 def tour_surfaces(

@@ -101,7 +101,7 @@ class SweepDirection:
         return census_transform(luminance_of(self.pair.first))
 
     @cached_property
-    def weight(self) -> Float32[np.ndarray, "height width"]:
+    def textured_area(self) -> Float32[np.ndarray, "height width"]:
         """Share of each textured pixel in their total solid angle; 0 without texture and where a mask is."""
         weight = np.sin(self.pair.grid.polar_angle) * (is_textured(self.pair.first) & self.pair.first_usable)
         return np.asarray(weight / max(float(weight.sum()), 1e-9), np.float32)
@@ -111,7 +111,9 @@ class SweepDirection:
         grid = self.pair.grid
         disparity = np.empty(self.pair.size, np.float32)
         least = MIN_INCIDENCE_SINE * np.linalg.norm(normals, axis=-1)
-        fill = partial(_plane_disparity_rows, grid.directions, grid.polar_angle, self.weight, normals, least, disparity)
+        fill = partial(
+            _plane_disparity_rows, grid.directions, grid.polar_angle, self.textured_area, normals, least, disparity
+        )
         run_ranges(fill, len(disparity))
         return disparity
 
@@ -141,7 +143,7 @@ class SweepDirection:
         row, col = np.nonzero((disparity >= 0) & (best < GOOD_COST))
         found = np.maximum(disparity[row, col] + offset[row, col], 0.0)
         inverse_depth, tolerance = grid.inverse_depth(found, row), grid.inverse_depth_per_row(found, row)
-        return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, self.weight[row, col], row, col)
+        return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, self.textured_area[row, col], row, col)
 
 
 Directions = tuple[SweepDirection, SweepDirection]
@@ -254,7 +256,7 @@ class AxisSweep:
         distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
 
         def scores(which: int, direction: SweepDirection) -> UInt8[np.ndarray, "distances pixels"]:
-            found = np.empty((len(distances), direction.weight.size), np.uint8)
+            found = np.empty((len(distances), direction.textured_area.size), np.uint8)
             for k, distance in enumerate(distances):
                 normals = np.stack([-axis, axis]) / distance
                 # A plane that the second camera does not see is NaN and met by no ray.
@@ -271,8 +273,8 @@ class AxisSweep:
 
     def totals(self, side: int) -> Float[np.ndarray, "2 distances"]:
         """Share of the textured sphere that each plane on a side explains, in both images."""
-        weights = [each.weight.ravel() * mask for each, mask in zip(self.directions, self.half(side), strict=True)]
-        return np.stack([_weighted_sum(scores, weight) for scores, weight in zip(self.scores, weights, strict=True)])
+        areas = [each.textured_area.ravel() * mask for each, mask in zip(self.directions, self.half(side), strict=True)]
+        return np.stack([_weighted_sum(scores, area) for scores, area in zip(self.scores, areas, strict=True)])
 
     def best_points(self, which: int) -> PlanePoints:
         """Every textured pixel that looks against the axis at the distance that fits best around it, within a step."""
@@ -281,7 +283,7 @@ class AxisSweep:
         scores = np.ascontiguousarray(self.scores[which].reshape(-1, *direction.pair.size).transpose(1, 2, 0))
         average = partial(cv2.blur, ksize=(SLOPE_WINDOW, SLOPE_WINDOW))
         around = filter_across_seam(average, scores, SLOPE_WINDOW)
-        row, col = np.nonzero((around.max(axis=-1) > 255 * MIN_SLOPE_SCORE) & (direction.weight > 0))
+        row, col = np.nonzero((around.max(axis=-1) > 255 * MIN_SLOPE_SCORE) & (direction.textured_area > 0))
         down = -self.axis / self.distances[:, None]
         inverse_distance = np.linalg.norm(planes_from_second(down) if which else down, axis=-1)
         best = inverse_distance[around[row, col].argmax(axis=-1)]
@@ -289,9 +291,8 @@ class AxisSweep:
         is_below = inverse_depth > MIN_INCIDENCE_SINE * best
         row, col, inverse_depth = row[is_below], col[is_below], inverse_depth[is_below]
         tolerance = inverse_depth * (self.distances[1] / self.distances[0] - 1.0)
-        return PlanePoints(
-            grid.directions[row, col], inverse_depth, tolerance, direction.weight[row, col].astype(float), row, col
-        )
+        area = direction.textured_area[row, col].astype(float)
+        return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, area, row, col)
 
 
 def _scores(direction: SweepDirection, normals: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "height width"]:
@@ -330,7 +331,7 @@ def _weighted_sum(scores: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, "
 def _greedy_planes(directions: Directions, axes: np.ndarray) -> list[np.ndarray]:
     """The planes that explain most, one after the other, each of what those before it leave unexplained."""
     sweeps = [AxisSweep.of(directions, axis) for axis in axes]
-    weights = [direction.weight.ravel().copy() for direction in directions]
+    weights = [direction.textured_area.ravel().copy() for direction in directions]
     halves = [
         HalfSweep(sweep, side, sweep.half(side), sweep.totals(side), np.ones(len(sweep.distances), bool))
         for sweep in sweeps
@@ -380,7 +381,7 @@ def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
         normal = _fit(sweep.directions, proposal, COARSE_FIT_COUNT)
         seen = normal[None], planes_from_second(normal[None])
         totals = [
-            float((_scores(direction, each) * direction.weight).sum())
+            float((_scores(direction, each) * direction.textured_area).sum())
             for direction, each in zip(sweep.directions, seen, strict=True)
         ]
         excess, ratio = min(totals - median), min(totals / np.maximum(median, 1e-4))

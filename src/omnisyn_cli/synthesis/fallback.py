@@ -35,7 +35,7 @@ class MaskedFade:
             else None
             for view in views
         ]
-        self._shader, self._threads = Shader(size, threads), threads
+        self._photograph_shader, self._threads = Shader(size, threads), threads
 
     def __call__(self, image: Shaped[np.ndarray, "height width 3"], pose: Pose, t: float) -> None:
         """Show the masked pixels of the photograph at the nearer end, in place, if that is near enough."""
@@ -48,7 +48,7 @@ class MaskedFade:
         def band(begin: int, end: int) -> None:
             for top in range(begin, end, TILE_ROWS):
                 rows = slice(top, min(top + TILE_ROWS, end))
-                photograph = self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)
+                photograph = self._photograph_shader.rows_at_infinity(texture, turn, rows.start, rows.stop)
                 weight = np.float32(share) * np.clip(photograph[..., 3:], 0.0, 1.0)
                 if weight.any():
                     mixed = (1.0 - weight) * (image[rows] / quantization.scale) + weight * photograph[..., :3]
@@ -73,7 +73,7 @@ class CrossFade:
     ) -> None:
         self._poses = tuple(poses)
         self._textures = [make_texture(image) for image in images]
-        self._shader, self._threads = Shader(size, threads), threads
+        self._photograph_shader, self._threads = Shader(size, threads), threads
 
     def __call__(
         self,
@@ -100,8 +100,8 @@ class CrossFade:
                 if here.any():
                     mixed *= 1.0 - here
                     for turn, texture, share in zip(turns, self._textures, (1.0 - t, t), strict=True):
-                        photograph = self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)[..., :3]
-                        mixed += np.float32(share) * here * np.maximum(photograph, 0.0)
+                        photograph = self._photograph_shader.rows_at_infinity(texture, turn, rows.start, rows.stop)
+                        mixed += np.float32(share) * here * np.maximum(photograph[..., :3], 0.0)
                     image[rows] = (
                         np.minimum(mixed, quantization.max_colour) * quantization.scale + quantization.rounding
                     )

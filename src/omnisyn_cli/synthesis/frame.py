@@ -98,7 +98,7 @@ def fuse_frame(
         target_from_sources = (waypoint.pose.inverse() @ pose for pose in pair.poses)
         seen = [render(pose) for render, pose in zip(pair.renderers, target_from_sources, strict=True)]
     with clock("fuse"):
-        first, second = ExposureMatcher(pair.check.curve)(seen[0], seen[1], waypoint.t)
+        first, second = ExposureMatcher(pair.cross_check.curve)(seen[0], seen[1], waypoint.t)
         asked = {"out": None if samples is None else samples(), "confidence": confidence}
         fuse = fuser.dissolve if pair.is_soft and isinstance(fuser, GeometricFuser) else fuser
         image = fuse(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})

@@ -67,7 +67,7 @@ class PreparedPair:
         poses: of both views.
         depths: of both.
         renderers: of both.
-        check: how differently they are exposed, and how far what is made of them can be relied on.
+        cross_check: how differently they are exposed, and how far what is made of them can be relied on.
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
         masked_fade: fades what is masked at the ends; None where nothing masked is shown.
         triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
@@ -79,7 +79,7 @@ class PreparedPair:
     poses: tuple[Pose, Pose]
     depths: tuple[DepthEstimate, DepthEstimate]
     renderers: tuple[Renderer, Renderer]
-    check: CrossCheck
+    cross_check: CrossCheck
     cross_fade: CrossFade | None = None
     masked_fade: MaskedFade | None = None
     triangles: tuple[int, int] | None = None

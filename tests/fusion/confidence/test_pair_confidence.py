@@ -57,7 +57,7 @@ def test_shares_are_counted_by_solid_angle() -> None:
     second = rendering(np.where(row >= 28, 0.9, 0.5), rho, np.where(seen, 1.0, 0.0))
     found = assess_pair([(first, first), (second, second)], (first, second))
     assert found.unseen == pytest.approx(weight[row < 4].sum(), abs=1e-6)
-    assert found.disagreement == pytest.approx(weight[(row >= 8) & (row < 16)].sum(), abs=1e-6)
+    assert found.depth_disagreement == pytest.approx(weight[(row >= 8) & (row < 16)].sum(), abs=1e-6)
     assert found.inconsistency == pytest.approx(weight[row >= 28].sum(), abs=1e-6)
 
 

@@ -56,7 +56,7 @@ class PairConfidence:
         score: in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more, after ``doubling`` has been deducted.
         expected: dB, from the mean error of the photographs against each other and of both layers half way.
         unseen: share of the sphere that neither layer shows half way.
-        disagreement: share where both show something, at different distances.
+        depth_disagreement: share where both show something, at different distances.
         inconsistency: share where both show something at one distance, in different colours.
         doubling: share of what has contrast half way, by area, at which the layers show other structures.
         weakest: the direction, half way and in the frame of the camera there, around which both layers fit worst.
@@ -65,7 +65,7 @@ class PairConfidence:
     score: float
     expected: float
     unseen: float
-    disagreement: float
+    depth_disagreement: float
     inconsistency: float
     weakest: tuple[float, float, float] = (0.0, 0.0, -1.0)
     doubling: float = 0.0
@@ -76,7 +76,7 @@ class PairConfidence:
             "score": round(self.score, 3),
             "expected_db": round(self.expected, 2),
             "unseen": round(self.unseen, 4),
-            "disagreement": round(self.disagreement, 4),
+            "disagreement": round(self.depth_disagreement, 4),
             "inconsistency": round(self.inconsistency, 4),
             "doubling": round(self.doubling, 4),
         }

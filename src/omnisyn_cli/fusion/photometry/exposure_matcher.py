@@ -62,13 +62,13 @@ class ExposureMatcher:
             layer.colour_rows(begin, end, out)
             change(out)
 
-        def colour_grid(rows: np.ndarray, cols: np.ndarray) -> Array:
-            colour = layer.colour_grid(rows, cols)
+        def colours_at_crossings(rows: np.ndarray, cols: np.ndarray) -> Array:
+            colour = layer.colours_at_crossings(rows, cols)
             change(colour)
             return colour
 
         return replace(
-            layer, colour_rows=colour_rows, colour_grid=colour_grid, cached_colour=None,
+            layer, colour_rows=colour_rows, colours_at_crossings=colours_at_crossings, cached_colour=None,
             edge_samples=None if layer.edge_samples is None else partial(_exposed_samples, layer.edge_samples, change),
             source_sampler=None if layer.source_sampler is None else _exposed_sampler(layer.source_sampler, change),
         )  # fmt: skip

@@ -122,8 +122,8 @@ class TourPacker:
         for surface in pair.surfaces:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
-        is_ambiguous = self._plan.config.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
-        gains = _gains(pair.check.curve)
+        is_ambiguous = self._plan.config.fallback == "crossfade" and pair.cross_check.confidence.score < MIN_PAIR_SCORE
+        gains = _gains(pair.cross_check.curve)
         self._links[pair.index] = {
             "panoramas": [surface.index for surface in pair.surfaces],
             "surfaces": [self._surface(surface) for surface in pair.surfaces],

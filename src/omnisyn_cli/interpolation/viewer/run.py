@@ -180,7 +180,7 @@ def run_view(
         keep = None if staged is None else partial(_write_block, staged)
         packer = TourPacker(plan, plan.job.options, keep)
         for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
-            refuse_doubtful(plan, pair.index, pair.check.confidence)
+            refuse_doubtful(plan, pair.index, pair.cross_check.confidence)
             with clock("pack"):
                 packer.add(pair)
             if staged is None:

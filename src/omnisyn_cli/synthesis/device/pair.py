@@ -130,11 +130,11 @@ class GpuSurface:
         def colour_rows(begin: int, end: int, out: Tensor) -> None:
             out[:] = shaded(rho[begin:end], self.frames.rays(slice(begin, end)))
 
-        def colour_grid(rows: np.ndarray, cols: np.ndarray) -> Tensor:
+        def colours_at_crossings(rows: np.ndarray, cols: np.ndarray) -> Tensor:
             row, col = (torch.from_numpy(index).to(rho.device) for index in (rows, cols))
             return shaded(rho[row][:, col], self.frames.rays(row, col))
 
-        return Layer(rho, colour_rows, colour_grid, target_from_source)
+        return Layer(rho, colour_rows, colours_at_crossings, target_from_source)
 
     def with_cached_colour(self, seen: Layer) -> Layer:
         """A rendering on the device with all of its colours at hand."""

@@ -52,7 +52,7 @@ def fill_holes(image: Float32[Tensor, "height width 3"], weight: Float32[Tensor,
     while max(levels[-1][1].shape) > 1:
         levels.append(_pull_level(*levels[-1]))
     for finer, coarser in zip(levels[-2::-1], levels[:0:-1], strict=True):
-        _push(*coarser, *finer)
+        _fill_from_coarser(*coarser, *finer)
 
 
 def _pull_level(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
@@ -66,7 +66,7 @@ def _pull_level(colour: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     return sums[..., :3] / torch.where(total > 0.0, total, 1.0), sums[..., 3].contiguous()
 
 
-def _push(coarse_colour: Tensor, coarse_weight: Tensor, colour: Tensor, weight: Tensor) -> None:
+def _fill_from_coarser(coarse_colour: Tensor, coarse_weight: Tensor, colour: Tensor, weight: Tensor) -> None:
     """Holes get the coarse colours, bilinearly and by weight, and a weight of their own; rows end at the poles."""
     row, col = (weight <= 0.0).nonzero(as_tuple=True)
     near_row, near_col = row // 2, col // 2
