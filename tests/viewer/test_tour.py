@@ -1,7 +1,7 @@
 """Tours that branch: links in both directions, crossings, map, names and hotspots; and the module in other pages."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +187,23 @@ def test_hotspots_are_hidden_by_what_stands_before_them_and_open(walk: WalkPage)
     walk.page.click("#card-close")
 
 
+def test_the_card_shows_the_picture_of_the_hotspot_that_was_opened_last(walk: WalkPage) -> None:
+    """However late that of the one before comes."""
+    shown = walk.page.evaluate("""async () => {
+        const { hotspots, world } = omnisyn.page, { button, spot } = hotspots.marks[1];
+        const address = world.blocks.address.bind(world.blocks);
+        let late;
+        world.blocks.address = (image) => new Promise((done) => { late = () => done(address(image)); });
+        const first = hotspots.open(spot, button);
+        world.blocks.address = address;
+        await hotspots.open({ text: 'Last', link: null, image: null }, button);
+        late();
+        await first;
+        return [hotspots.title.textContent, hotspots.picture.hidden];
+    }""")
+    assert shown == ["Last", True]
+
+
 def test_an_own_hotspot_lies_on_the_surface_where_it_was_placed(walk: WalkPage) -> None:
     """10 degrees to the right in the picture of p2, which is turned by 0.6 radians; a key opens it."""
     own = "omnisyn.page.hotspots.marks[0]"
@@ -271,14 +288,81 @@ def test_the_module_runs_in_a_page_of_others(opened: Any, folder: Path) -> None:
     assert page.evaluate("walk.walker.t") in (0, 1)
     assert page.evaluate("location.hash") == ""
     assert page.evaluate("walk.graphicsBytes") > 0
-    page.evaluate("walk.dispose()")
-    assert page.evaluate("walk.world.things.size") == 0
     page.context.close()
 
 
-def answer(route: Any, folder: Path) -> None:
-    """The page of somebody else, and beside it the folder of the walk."""
+AGAIN = """() => {
+  walk.dispose();
+  window.again = new walk.constructor(document.getElementById('box'), 'walk/walk.json');
+  return again.ready;
+}"""
+
+
+def test_after_its_end_nothing_of_a_walk_is_left(opened: Any, folder: Path) -> None:
+    """Ended while it opens, then while it is shown; the next walk in the same element works."""
+    page = opened.new_context(viewport={"width": 640, "height": 400}).new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.route("**/*", lambda route: answer(route, folder))
+    page.goto("http://127.0.0.1/mine.html")
+    page.wait_for_function("window.walk")
+    assert page.evaluate("walk.dispose(), walk.ready.catch((error) => error.name)") == "AbortError"
+    page.evaluate(AGAIN)
+    second = "new walk.constructor(again.element, 'walk/walk.json')"
+    assert "dispose of the walk in it" in page.evaluate(
+        f"(() => {{ try {{ {second} }} catch (error) {{ return error.message }} }})()"
+    )
+    assert page.evaluate("again.goTo('p7.png')") is True
+    arrival = "[again.goTo('p2.png'), again.dispose()][0]"
+    assert page.evaluate(arrival) is False
+    page.evaluate("""() => {
+        Object.assign(again.element.style, { width: '300px' });
+        again.element.dispatchEvent(new KeyboardEvent('keydown', { code: 'ArrowUp' }));
+        window.dispatchEvent(new Event('blur'));
+    }""")
+    page.wait_for_timeout(500)
+    assert page.evaluate("[again.world.things.size, again.controls.held.size, again.isWaiting]") == [0, 0, False]
+    assert page.evaluate("[again.root.childNodes.length, Object.keys(again.element.dataset).length]") == [0, 0]
+    page.evaluate("window.walk = again")
+    page.evaluate(AGAIN)
+    assert page.evaluate("again.goTo('p1.png')") is True
+    assert errors == []
+    page.context.close()
+
+
+def test_what_does_not_come_is_asked_for_again(opened: Any, folder: Path) -> None:
+    """Panoramas that are fetched ahead say nothing; those that are needed say so, and the walk goes on."""
+    page = opened.new_context(viewport={"width": 640, "height": 400}).new_page()
+    broken: list[str] = []
+    page.route("**/*", lambda route: answer(route, folder, broken))
+    page.goto("http://127.0.0.1/mine.html")
+    page.evaluate("walk.ready")
+    page.evaluate("walk.goTo('p2.png', { isSudden: true })")
+    page.wait_for_function("walk.world.pending.size === 0")
+    far = ["p7.png", "p8.png"]
+    levels = (
+        "walk.manifest.panoramas.find((one) => one.name === name).photo.map(({ block }) => walk.manifest.files[block])"
+    )
+    broken += page.evaluate(f"(names) => names.flatMap((name) => {levels})", far)
+    page.evaluate("walk.goTo('p3.png', { isSudden: true })")
+    page.wait_for_function("walk.place.nearest === 'p3.png' && walk.element.dataset.state === 'ready'")
+    page.wait_for_timeout(500)
+    assert "error" not in {kind for kind, _ in page.evaluate("window.events")}
+    page.evaluate("walk.goTo('p7.png', { isSudden: true })")
+    page.wait_for_function("window.events.some(([kind]) => kind === 'error')")
+    assert "503" in page.text_content("#status")
+    broken.clear()
+    page.wait_for_function("walk.$('loading').hidden && walk.world.pictureOf(7) !== null")
+    assert page.evaluate("walk.goTo('p3.png')") is True
+    page.context.close()
+
+
+def answer(route: Any, folder: Path, broken: Collection[str] = ()) -> None:
+    """The page of somebody else, and beside it the folder of the walk, whose server fails for some files."""
     path = route.request.url.partition("127.0.0.1/")[2]
+    if path.rpartition("/")[2] in broken:
+        route.fulfill(status=503)
+        return
     if path == "mine.html":
         route.fulfill(body=EMBEDDING, content_type="text/html")
         return

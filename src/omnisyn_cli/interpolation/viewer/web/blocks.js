@@ -48,12 +48,13 @@ class Blocks {
   }
 }
 
-// What a walk is made from: the address of its manifest, or an object with `manifest` and `bytes(block)`.
-async function openedSource(source) {
+// What a walk is made from: the address of its manifest, or an object with `manifest` and `bytes(block)`. `signal` ends
+// what is being fetched.
+async function openedSource(source, signal) {
   if (typeof source !== 'string' && !(source instanceof URL)) return source;
   const base = new URL(source, document.baseURI);
   const read = async (name) => {
-    const answer = await fetch(new URL(name, base));
+    const answer = await fetch(new URL(name, base), { signal });
     if (!answer.ok) throw new Error(`${name}: expected a file of this walk, got ${answer.status}`);
     return answer;
   };

@@ -109,9 +109,10 @@ class Controls {
 
 // Turns a walker's look with the device. Browsers give orientations to pages from secure places only.
 class Gyroscope {
-  constructor(walker, onChange) {
+  constructor(walker, onChange, signal) {
     Object.assign(this, { walker, onChange, isOn: false });
     this.listen = (event) => this.turned(event);
+    signal.addEventListener('abort', () => window.removeEventListener('deviceorientation', this.listen));
   }
 
   static get isThere() {

@@ -9,13 +9,14 @@ class Headset {
     Object.assign(this, { gl, renderer, walker, world });
   }
 
-  async enter(onEnd, onFrame) {
+  async enter(onEnd, onFrame, signal) {
     const { gl } = this;
     await gl.makeXRCompatible();
     const session = await navigator.xr.requestSession('immersive-vr', { optionalFeatures: ['local-floor'] });
     session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl, { depth: false, antialias: false }) });
     const space = await session.requestReferenceSpace('local');
     session.addEventListener('end', onEnd);
+    signal.addEventListener('abort', () => session.end().catch(() => {})); // which may have ended before
     session.addEventListener('select', () => {
       const way = this.walker.wayOut(headingOf(this.walker.ahead));
       if (way) this.walker.goTo(way.link.ends[way.sense > 0 ? 1 : 0], false);

@@ -32,16 +32,27 @@ class Hotspots {
     this.title.textContent = text;
     this.link.hidden = link === null;
     if (link !== null) [this.link.textContent, this.link.href] = [link, link];
-    this.picture.hidden = true;
+    this.putAway();
     this.card.hidden = false;
     this.card.querySelector('button').focus();
-    if (!image) return;
-    const address = await this.world.blocks.address(image);
-    this.picture.addEventListener('load', () => URL.revokeObjectURL(address), { once: true });
+    const shown = this.shown = {};
+    const address = image && await this.world.blocks.address(image).catch(() => null); // the text stays without it
+    if (!address) return;
+    if (this.shown !== shown) return URL.revokeObjectURL(address); // meanwhile another one was opened, or none is
+    shown.address = address;
     [this.picture.src, this.picture.alt, this.picture.hidden] = [address, text, false];
   }
 
+  // The picture that is shown.
+  putAway() {
+    this.picture.hidden = true;
+    this.picture.removeAttribute('src');
+    if (this.shown?.address) URL.revokeObjectURL(this.shown.address);
+    this.shown = null;
+  }
+
   close() {
+    this.putAway();
     this.card.hidden = true;
     this.opener?.focus();
   }

@@ -48,9 +48,11 @@ class TourMap {
     const [corner, right, below] = corners.map(([x, z]) => this.at([x, 0, z]));
     const [across, down] = [[right, plan.width], [below, plan.height]].map(([end, count]) => [0, 1].map((axis) => (end[axis] - corner[axis]) / count));
     image.style.transform = `matrix(${[...across, ...down, ...corner].join(', ')})`;
-    image.src = await this.world.blocks.address(plan);
+    const address = await this.world.blocks.address(plan).catch(() => null); // the map does without
+    if (!address) return;
+    image.src = address;
     image.hidden = false;
-    image.addEventListener('load', () => URL.revokeObjectURL(image.src), { once: true });
+    image.addEventListener('load', () => URL.revokeObjectURL(address), { once: true });
   }
 
   show(walker) {

@@ -5,6 +5,7 @@ const SLOW = 40; // milliseconds of a frame above which pictures are made smalle
 const FIRST_SHARE = 0.35; // of the sides of the first picture, which is small and comes at once
 const FORMAT_VERSION = 1;
 const PHONE_SIDE = 600; // pixels of the shorter side of a screen
+const RETRY = 2000; // milliseconds until something that did not come is asked for again
 
 // See docs/view.md. Options: `keys`, what keys are listened to on (the element itself); `keepsAddress`, whether the
 // place is kept in the address of the page; `hasControls`, whether buttons, map and texts are shown; `budget`, bytes of
@@ -14,8 +15,9 @@ export class OmnisynWalk extends EventTarget {
     super();
     const isPhone = matchMedia('(pointer: coarse)').matches && Math.min(screen.width, screen.height) < PHONE_SIDE;
     this.options = { keys: null, keepsAddress: false, hasControls: true, isPhone, ...options };
+    if (element.shadowRoot?.hasChildNodes()) throw new Error('expected an element of its own, got one with a shadow root; dispose of the walk in it');
     this.element = element;
-    this.root = element.attachShadow({ mode: 'open' });
+    this.root = element.shadowRoot ?? element.attachShadow({ mode: 'open' }); // which stays after dispose
     this.root.innerHTML = MARKUP;
     const style = new CSSStyleSheet();
     style.replaceSync(STYLE);
@@ -30,7 +32,9 @@ export class OmnisynWalk extends EventTarget {
   }
 
   async begin(source) {
-    const { manifest, bytes } = await openedSource(source);
+    const { signal } = this.ending;
+    const { manifest, bytes } = await openedSource(source, signal);
+    signal.throwIfAborted();
     if (manifest.version !== FORMAT_VERSION) throw new Error(`expected a walk of version ${FORMAT_VERSION}, got ${manifest.version}`);
     this.manifest = manifest;
     const blocks = new Blocks(bytes);
@@ -41,6 +45,7 @@ export class OmnisynWalk extends EventTarget {
     if (this.options.keepsAddress) this.walker.address = location.hash;
     this.wire();
     await this.prepare();
+    signal.throwIfAborted();
     this.emit('ready');
   }
 
@@ -55,17 +60,18 @@ export class OmnisynWalk extends EventTarget {
       this.useFade(error);
       return;
     }
+    const { signal } = this.ending;
     canvas.addEventListener('webglcontextlost', (event) => {
       event.preventDefault();
       this.renderer = null;
       this.world.forgetGraphics();
       this.say('The picture was lost; waiting for it to come back …');
-    });
+    }, { signal });
     canvas.addEventListener('webglcontextrestored', () => {
       this.renderer = new Renderer(gl, this.manifest.tables);
       this.say('');
-      this.prepare().catch((error) => this.failed(error));
-    });
+      this.prepareAgain();
+    }, { signal });
   }
 
   // A canvas that was asked for WebGL gives nothing else.
@@ -81,7 +87,7 @@ export class OmnisynWalk extends EventTarget {
     const { walker, world, $ } = this;
     const keys = this.options.keys ?? this.element, { signal } = this.ending;
     this.controls = new Controls($('stage'), keys, walker, () => this.change(), (x, y) => this.tap(x, y), signal);
-    this.gyroscope = new Gyroscope(walker, () => this.change());
+    this.gyroscope = new Gyroscope(walker, () => this.change(), signal);
     for (const id of ['bar', 'where', 'welcome', 'stops']) $(id).hidden = !this.options.hasControls;
     $('place').max = world.isChain ? world.last : 1;
     $('place').addEventListener('input', (event) => {
@@ -97,13 +103,15 @@ export class OmnisynWalk extends EventTarget {
     $('sensors').addEventListener('click', async () => $('sensors').setAttribute('aria-pressed', await this.gyroscope.toggle()));
     $('help').addEventListener('click', () => this.unfold('help', 'hint', $('hint').hidden));
     $('mapper').addEventListener('click', () => this.unfold('mapper', 'map', $('map').hidden));
-    Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
-    $('headset').addEventListener('click', () => this.headset.enter(() => this.change(), () => this.keepUp()));
+    const headset = $('headset');
+    Headset.isThere().then((isThere) => { headset.hidden = !(isThere && this.renderer); });
+    headset.addEventListener('click', () => this.headset.enter(() => this.change(), () => this.keepUp(), signal));
     keys.addEventListener('keydown', (event) => this.key(event), { signal });
     document.addEventListener('fullscreenchange', () => {
       $('whole').setAttribute('aria-label', document.fullscreenElement ? 'Leave full screen' : 'Full screen');
     }, { signal });
-    new ResizeObserver(() => this.change()).observe(this.element);
+    this.sides = new ResizeObserver(() => this.change());
+    this.sides.observe(this.element);
     if (this.options.keepsAddress) window.addEventListener('hashchange', () => this.readAddress(), { signal });
     this.stops = world.panoramas.map((panorama) => this.makeStop(panorama));
     this.map = new TourMap(this.root, world, (index) => this.goTo(index));
@@ -173,6 +181,7 @@ export class OmnisynWalk extends EventTarget {
   goTo(panorama, { isSudden = this.isStill } = {}) {
     const index = typeof panorama === 'number' ? panorama : this.world.panoramas.findIndex(({ name }) => name === panorama);
     if (!this.world.panoramas[index]) return Promise.reject(new Error(`expected a panorama of this walk, got ${panorama}`));
+    if (this.ending.signal.aborted) return Promise.resolve(false);
     this.walker.goTo(index, isSudden);
     this.change();
     return new Promise((resolve) => { this.arrivals.push({ index, resolve }); });
@@ -211,7 +220,7 @@ export class OmnisynWalk extends EventTarget {
     this.preparedFor = this.needs;
     const isOpening = this.element.dataset.state === 'loading';
     await world.prepare(walker, (wants) => {
-      if (this.element.dataset.state === 'failed') return;
+      if (this.element.dataset.state === 'failed' || this.ending.signal.aborted) return;
       const now = wants.filter((want) => want.isNow), done = now.filter((want) => world.things.has(want.key)).length;
       [$('progress').max, $('progress').value] = [now.length, done];
       if (isOpening && !this.fade) this.say(done < now.length ? `Unpacking surfaces, ${done} of ${now.length} …` : '');
@@ -222,12 +231,28 @@ export class OmnisynWalk extends EventTarget {
   }
 
   keepUp() {
-    if (this.preparedFor !== this.needs) this.prepare().catch((error) => this.failed(error));
+    if (this.preparedFor !== this.needs) this.prepareAgain();
+  }
+
+  prepareAgain() {
+    clearTimeout(this.retrying);
+    this.prepare().catch((error) => this.missed(error));
+  }
+
+  // Something that this place needs did not come: it is asked for again as long as one stays.
+  missed(error) {
+    if (this.ending.signal.aborted) return;
+    this.isMissing = true;
+    this.say(`Something of this place is missing: ${error.message}. Trying again …`);
+    this.emit('error', error);
+    this.retrying = setTimeout(() => this.prepareAgain(), RETRY);
   }
 
   opened() {
     this.$('progress').hidden = true;
     this.element.dataset.state = 'ready';
+    if (this.isMissing) this.say('');
+    this.isMissing = false;
   }
 
   // What loading depends on.
@@ -236,6 +261,7 @@ export class OmnisynWalk extends EventTarget {
   }
 
   failed(error) {
+    if (this.ending.signal.aborted) throw error;
     this.$('progress').hidden = true;
     this.say(`This walk cannot be shown: ${error.message}`);
     this.element.dataset.state = 'failed';
@@ -261,6 +287,7 @@ export class OmnisynWalk extends EventTarget {
 
   frame(time) {
     this.isWaiting = false;
+    if (this.ending.signal.aborted) return;
     const { walker } = this;
     if (walker.hasMoved) this.element.dataset.moved = '';
     const seconds = this.before === null ? 0 : Math.min((time - this.before) / 1000, 0.5);
@@ -295,7 +322,6 @@ export class OmnisynWalk extends EventTarget {
   settle() {
     clearTimeout(this.settling);
     this.settling = setTimeout(() => {
-      if (this.ending.signal.aborted) return;
       if (this.share < 1 && this.element.dataset.state === 'ready') this.draw(1);
       if (!this.options.keepsAddress) return;
       this.written = this.walker.address;
@@ -391,12 +417,18 @@ export class OmnisynWalk extends EventTarget {
     return this.world.bytes + (this.renderer?.bytes ?? 0);
   }
 
-  // Ends it: listeners, pictures and graphics memory go, and the element is empty.
+  // Ends it: listeners, pictures and graphics memory go, and the element is empty and can take another walk.
   dispose() {
+    if (this.ending.signal.aborted) return;
     this.ending.abort();
-    this.world?.wanted.clear();
-    this.world?.things.forEach((thing, key) => this.world.drop(key, thing));
+    for (const timer of [this.settling, this.retrying]) clearTimeout(timer);
+    this.sides?.disconnect();
+    this.hotspots?.putAway();
+    this.arrivals.splice(0).forEach(({ resolve }) => resolve(false));
+    this.world?.dispose();
     this.gl?.getExtension('WEBGL_lose_context')?.loseContext();
     this.root.replaceChildren();
+    this.root.adoptedStyleSheets = [];
+    for (const key of ['state', 'moved']) delete this.element.dataset[key];
   }
 }

@@ -163,21 +163,21 @@ class World {
     return [...surfaces, exposure];
   }
 
-  // Loads what is wanted at a place. False: somewhere else became more urgent. `onStep` is told what has come.
+  // Loads what is wanted at a place. False: somewhere else became more urgent. `onStep` is told what has come. Fails
+  // where something is missing that the place itself needs; what lies beyond it is asked for again when it is needed.
   async prepare(walker, onStep) {
     const wants = this.wants(walker), round = ++this.round;
     this.wanted = new Set(wants.map((want) => want.key));
     for (const [key, thing] of this.things) if (!this.wanted.has(key)) this.drop(key, thing);
     const [first, ...rest] = wants;
-    await this.load(first);
-    onStep(wants);
     const isStale = () => round !== this.round;
-    await Promise.all(rest.filter((want) => want.isNow).map((want) => this.load(want).then(() => isStale() || onStep(wants))));
+    const loaded = (want) => this.load(want).then(
+      () => isStale() || onStep(wants), (error) => { if (want.isNow && !isStale()) throw error; });
+    await loaded(first);
+    await Promise.all(rest.filter((want) => want.isNow).map(loaded));
     for (const want of rest) {
       if (isStale()) return false;
-      if (this.things.has(want.key)) continue;
-      await this.load(want);
-      onStep(wants);
+      if (!this.things.has(want.key)) await loaded(want);
     }
     return !isStale();
   }
@@ -241,6 +241,13 @@ class World {
     const isPlain = !isReady && (t === 0 || t === 1);
     if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, isPlain: true, views: [shown[0], shown[0]] } : null;
     return { t, isCrossFade: link.isCrossFade || !isReady, isPlain, views };
+  }
+
+  // Nothing is kept any more, nor what is still on its way.
+  dispose() {
+    this.round++;
+    this.wanted.clear();
+    this.things.forEach((thing, key) => this.drop(key, thing));
   }
 
   // After a context was lost nothing of it is left to be deleted.
