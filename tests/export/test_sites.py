@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,12 +13,15 @@ from cli.cli_samples import Omnisyn
 from export.export_samples import job_in, off_wall
 from export.site_samples import LANDMARKS, LINKS, NEIGHBOUR, PLACES, direction_of, pose_of, write_tour
 from interpolation_samples import CHAIN
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import normalize
-from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
+from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export, site_writer
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
-from omnisyn_cli.io import read_panorama
+from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.interpolation.summary import Summary
+from omnisyn_cli.io import read_panorama, write_image
 from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -66,6 +70,33 @@ def test_a_site_is_complete_and_says_how_to_get_its_viewer(
     assert "expected a new or empty folder" in omnisyn.refused("export", tour, "--format", viewer, "-o", site)
 
 
+def test_another_site_in_its_place_leaves_nothing_of_the_former_one(tour: Path, tmp_path: Path) -> None:
+    """But files that others have put there stay."""
+    site, shorter = tmp_path / "site", tuple(tour / f"{name}.png" for name in ("hall", "garden"))
+    first = replace(job_of_tour(tour, site), overwrite=True)
+    run_export(plan_export(first), estimator=flat)
+    for name in ("mine.txt", "panoramas/mine.jpg"):
+        (site / name).write_text("mine")
+    (tour / "tour.json").write_text('{"version": 1}')
+    run_export(plan_export(replace(first, images=shorter, format="photo-sphere-viewer")))
+    files = {file.relative_to(site).as_posix() for file in site.rglob("*") if file.is_file()}
+    panoramas = {"panoramas/0000_hall.jpg", "panoramas/0001_garden.jpg"}
+    assert files == panoramas | {"index.html", "tour.json", "vendor/package.json", "mine.txt", "panoramas/mine.jpg"}
+
+
+@pytest.mark.parametrize("end", [4, -20])
+def test_a_damaged_picture_is_found_before_depth_is(tour: Path, tmp_path: Path, end: int) -> None:
+    """Without a header, and without an end."""
+    picture = tour / "picture.png"
+    picture.write_bytes(picture.read_bytes()[:end])
+
+    def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        raise AssertionError("expected no depth")
+
+    with pytest.raises(ImageError, match=r"picture\.png"):
+        run_export(plan_export(job_of_tour(tour, tmp_path / "site")), estimator=estimator)
+
+
 def test_panoramas_are_level_and_look_north(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     omnisyn.made("export", tour, "--format", "marzipano", "-o", tmp_path / "site", "--texture", 512)
     scenes = json.loads((tmp_path / "site" / "tour.json").read_text())["scenes"]
@@ -83,11 +114,26 @@ def test_panoramas_are_level_and_look_north(tour: Path, tmp_path: Path, omnisyn:
     assert sum(map(len, targets)) == 2 * len(LINKS)
 
 
-def test_clips_begin_and_end_with_the_panoramas(tmp_path: Path) -> None:
-    """Level like them, in both directions."""
+def test_clips_begin_and_end_with_the_panoramas(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Level like them, in both directions; made of the depth files and masks of the tour, by the options of the job."""
     chain = CHAIN[1:]
-    job = job_in(tmp_path, "site", chain=chain, format="marzipano", clips=True, preset="fast")
-    run_export(plan_export(job))
+    job = job_in(tmp_path, "site", chain=chain, format="marzipano", clips=True, preset="fast", cut=0.3)
+    masks = tuple(tmp_path / f"mask{k}.png" for k in range(2))
+    for mask in masks:
+        write_image(mask, np.full((*read_panorama(job.images[0]).image.shape[:2], 3), 255, np.uint8))
+    plans: list[InterpolationPlan] = []
+
+    def made(plan: InterpolationPlan) -> Summary:
+        plans.append(plan)
+        return run_interpolation(plan)
+
+    monkeypatch.setattr(site_writer, "run_interpolation", made)
+    run_export(plan_export(replace(job, masks=masks)))
+    (video,) = plans
+    assert [entry.depth and entry.depth.resolve() for entry in video.entries] == [
+        tmp_path / f"p{k}_depth.exr" for k in range(2)
+    ]
+    assert (video.config.depth.kind, video.config.cut, video.job.masks) == ("file", 0.3, masks)
     size = read_panorama(tmp_path / "site" / "panoramas" / "0000_p0.jpg").image.shape[:2]
     names = ("0000_p0", "0001_p1")
     ends = [read_panorama(tmp_path / "site" / "panoramas" / f"{name}.jpg").image for name in names]
@@ -167,8 +213,12 @@ def test_krpano_meets_its_neighbours_where_links_say(krpano: Path) -> None:
 
 
 def test_krpano_runs_nothing_that_texts_and_addresses_say(tour: Path, tmp_path: Path) -> None:
-    """Its actions take commas and brackets for their own, so addresses stand in attributes of their own."""
+    """Its actions take commas and brackets for their own, so addresses stand in attributes of their own.
+
+    In texts ``[…]`` are tags or expressions, and ``get:`` begins an expression.
+    """
     document = json.loads((tour / "tour.json").read_text())
+    document["hotspots"][0]["text"] = "get:[b]x[/b]"
     document["panoramas"]["hall.png"]["hotspots"][0]["link"] = "https://example.org/);js(alert(1));("
     (tour / "tour.json").write_text(json.dumps(document))
     run_export(plan_export(job_of_tour(tour, tmp_path / "site")), estimator=flat)
@@ -176,6 +226,9 @@ def test_krpano_runs_nothing_that_texts_and_addresses_say(tour: Path, tmp_path: 
     spot = next(each for each in root.iter("hotspot") if "address" in each.attrib)
     assert spot.attrib["onclick"] == "openurl(get(address));"
     assert spot.attrib["text"] == "Red &lt;i&gt;thing&lt;/i&gt;"
+    texts = [each.attrib["text"] for each in root.iter("hotspot") if "b" in each.attrib["text"]]
+    assert "get&#58;&#91;b&#93;x&#91;/b&#93;" in texts
+    assert not any(sign in text for text in texts for sign in "[]:")
 
 
 def test_krpano_needs_links_to_all(tour: Path, tmp_path: Path) -> None:

@@ -1,11 +1,12 @@
 """Several files appear in a folder together, or not at all."""
 
+import re
 from pathlib import Path
 
 import pytest
 
 from omnisyn_cli.errors import OutputPathError, WriteError
-from omnisyn_cli.io.outputs import check_staged_folder, staged_folder, write_errors
+from omnisyn_cli.io.outputs import check_staged_folder, replaced_folder, staged_folder, write_errors
 
 
 def write_two(folder: Path, error: type[BaseException] | None = None) -> None:
@@ -44,6 +45,21 @@ def test_strangers_in_the_folder_stay(tmp_path):
     with staged_folder(tmp_path) as staged:
         (staged / "a").write_text("a")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a", "c"]
+
+
+def test_what_a_former_output_has_beyond_the_new_one_goes_and_nothing_else(tmp_path):
+    """What its document names and is called like its files; strangers stay, whatever they are called."""
+    own_file = re.compile(r"(?:parts|more)/\d+")
+    for names in (["parts/0", "parts/1", "more/2"], ["parts/0"]):
+        with replaced_folder(tmp_path, ["list", "else"], own_file, overwrite=True) as staged:
+            for name in names:
+                (staged / name).parent.mkdir(exist_ok=True)
+                (staged / name).write_text(name)
+            (staged / "list").write_text(" ".join([*names, "/etc/hosts", "notes"]))
+        for name in ("parts/7", "notes", "else"):
+            (tmp_path / name).write_text("mine")
+    files = {file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*")}
+    assert files == {"parts", "parts/0", "list", "parts/7", "notes", "else"}
 
 
 def test_folders_in_it_are_made_or_added_to(tmp_path):

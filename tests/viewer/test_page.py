@@ -161,6 +161,16 @@ def test_rings_lie_on_the_ground_below(tmp_path: Path) -> None:
     np.testing.assert_allclose(heights, 2.45, atol=0.15)
 
 
+def test_a_shorter_walk_in_its_place_leaves_nothing_of_the_longer_one(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    longer = listing(made(tmp_path, images, is_folder=True))
+    (tmp_path / "walk" / "mine.txt").write_text("mine")
+    walk = listing(made(tmp_path, images[:2], is_folder=True, overwrite=True))
+    files = json.loads(walk["walk.json"])["files"]
+    assert len(files) < len(longer) - 3
+    assert set(walk) == {*files, "index.html", "omnisyn-walk.js", "walk.json", "mine.txt"}
+
+
 @pytest.mark.parametrize("fallback", ["fail", "crossfade", "none"])
 def test_a_doubtful_pair_is_given_up_or_faded_if_that_is_asked_for(tmp_path: Path, fallback: str) -> None:
     """Two pictures that show different places: their depth files say nothing true of the other one."""

@@ -293,6 +293,8 @@ def plan_tour(
     tour = read_tour(
         job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside
     )  # fmt: skip
+    for picture in (*tour.hotspot_pictures, *([] if tour.plan is None else [tour.plan.image])):
+        read_header(picture)  # before depth is found, which takes long
     plan = TourPlan(job, entries, source_sizes, config, (), tour)
     about_places, about_depth = _notes_about_baselines(plan), _notes_about_depth(job, entries, config)
     return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *about_places, *about_depth))

@@ -7,7 +7,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from omnisyn_cli.errors import OutputPathError, WriteError
@@ -25,6 +25,7 @@ __all__ = [
     "hidden_folder",
     "make_folder",
     "real_path",
+    "replaced_folder",
     "replaced_when_complete",
     "staged_folder",
     "temporary_name",
@@ -232,3 +233,33 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
                 check_output(target, overwrite)
             for file, target in zip(files, targets, strict=True):
                 file.replace(target)
+
+
+@contextmanager
+def replaced_folder(
+    folder: Path, documents: Iterable[str], own_file: re.Pattern[str], *, overwrite: bool
+) -> Iterator[Path]:
+    """As :func:`staged_folder`; what a former output has and the new one has not is removed at the end.
+
+    Args:
+        folder: to fill.
+        documents: names of files that name the other files of an output; one that names none is somebody else's.
+        own_file: finds those names in the text of a document.
+        overwrite: replace files of the same names.
+    """
+    former: set[str] = set()
+    for document in documents:
+        with suppress(OSError):
+            names = set(own_file.findall((folder / document).read_text(encoding="utf-8", errors="replace")))
+            former |= {document, *names} if names else set()
+    with staged_folder(folder, overwrite=overwrite) as staged:
+        yield staged
+        former -= {file.relative_to(staged).as_posix() for file in staged.rglob("*")}
+    left = [folder / name for name in former]
+    with write_errors(folder):
+        for file in left:
+            if file.is_file():
+                file.unlink()
+    for place in {file.parent for file in left} - {folder}:
+        with suppress(OSError):  # something else is in it
+            place.rmdir()

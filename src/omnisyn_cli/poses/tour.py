@@ -150,6 +150,12 @@ class Tour:
         return {panorama.name: panorama for panorama in self.panoramas}
 
     @cached_property
+    def hotspot_pictures(self) -> tuple[Path, ...]:
+        """The pictures that hotspots show, each once."""
+        every = (*self.hotspots, *(spot for panorama in self.panoramas for spot in panorama.hotspots))
+        return tuple(dict.fromkeys(hotspot.image for hotspot in every if hotspot.image is not None))
+
+    @cached_property
     def neighbours(self) -> Mapping[str, tuple[str, ...]]:
         """The panoramas that each one links to, in the order of the links."""
         found: dict[str, list[str]] = {panorama.name: [] for panorama in self.panoramas}

@@ -1,7 +1,8 @@
 """A tour as viewers of panoramas want it: level pictures that all look north, marks by yaw and pitch."""
 
 import math
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +20,11 @@ from omnisyn_cli.types import View
 
 PICTURES, DEPTH, HOTSPOTS, CLIPS = "panoramas", "depth", "hotspots", "clips"
 """Folders of a site."""
+
+NAMED_FILE = re.compile(
+    rf'(?<=")(?:{PICTURES}|{DEPTH}|{HOTSPOTS}|{CLIPS})/\d{{4}}[\w-]*\.(?:jpg|depth|mp4)(?=\\?")', re.A
+)
+"""Files of those folders in the text that describes a tour."""
 
 REMAP_ROWS = 256
 """Rows that are made level at once: tables for whole panoramas would take many times their memory."""
@@ -154,9 +160,7 @@ def yaw_and_pitch(direction: Float[np.ndarray, " 3"]) -> tuple[float, float]:
 
 def hotspot_pictures(tour: Tour) -> dict[Path, str]:
     """Where the site has the picture of each hotspot."""
-    every: Iterable[Hotspot] = (*tour.hotspots, *(spot for panorama in tour.panoramas for spot in panorama.hotspots))
-    pictures = dict.fromkeys(hotspot.image for hotspot in every if hotspot.image is not None)
-    return {picture: f"{HOTSPOTS}/{index:04d}.jpg" for index, picture in enumerate(pictures)}
+    return {picture: f"{HOTSPOTS}/{index:04d}.jpg" for index, picture in enumerate(tour.hotspot_pictures)}
 
 
 def photograph(view: View, columns: int) -> UInt8[np.ndarray, "rows cols 3"]:

@@ -1,17 +1,16 @@
 """A tour written as a site for a viewer: level panoramas, the viewer's own description of the tour, and a page."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export.datasets import safe_name
 from omnisyn_cli.interpolation.export.site import (
     CLIPS,
     DEPTH,
+    NAMED_FILE,
     Site,
     depth_model,
     hotspot_pictures,
@@ -19,8 +18,8 @@ from omnisyn_cli.interpolation.export.site import (
     photograph,
     site_of,
 )
-from omnisyn_cli.interpolation.export.viewers import krpano_depth, site_files
-from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.interpolation.loading import Loader
 from omnisyn_cli.interpolation.plan import TourPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
@@ -29,8 +28,8 @@ from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.io.images import read_picture
-from omnisyn_cli.io.outputs import hidden_folder, make_folder, staged_folder, write_parts
-from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
+from omnisyn_cli.io.outputs import hidden_folder, make_folder, replaced_folder, write_parts
+from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.types import View
 
 CLIP_FRAMES, CLIP_FPS, CLIP_CRF = 37, 24.0, 20.0
@@ -84,7 +83,12 @@ def write_site(
     names = {panorama.name: identities[panorama.image] for panorama in tour.panoramas}
     site = site_of(tour, names, images, has_clips=options.has_clips)
     pictures = {panorama.identity: panorama.picture for panorama in site.panoramas}
-    with staged_folder(job.output, overwrite=job.overwrite) as staged:
+    documents = {viewer.document[0] for viewer in VIEWERS.values()}
+    with replaced_folder(job.output, documents, NAMED_FILE, overwrite=job.overwrite) as staged:
+        with clock("write"):  # before depth is found: a damaged picture ends it
+            for source, name in images.items():
+                # encoded anew: what else a file holds stays where it is
+                _write(staged / name, jpeg_bytes(read_picture(source, HOTSPOT_PIXELS)))
         views = _views(plan, clock) if surfaces is None else _views_with_depth(plan, surfaces, options.dome)
         known = ((identities[image], view, depth) for image, view, depth in views if image in identities)
         for done, (identity, view, depth) in enumerate(known, start=1):
@@ -101,18 +105,19 @@ def write_site(
         with clock("write"):
             for name, content in site_files(options.viewer, site).items():
                 _write(staged / name, content)
-            for source, name in images.items():
-                make_folder((staged / name).parent, "pictures of hotspots")
-                # encoded anew: what else a file holds stays where it is
-                _write(staged / name, jpeg_bytes(read_picture(source, HOTSPOT_PIXELS)))
     return site.links
 
 
 def _views(plan: TourPlan, clock: Stopwatch) -> Iterator[tuple[Path, View, None]]:
     """File and view of every panorama. What moves with the camera is not looked for, because it is shown."""
     loader = Loader(replace(plan, job=replace(plan.job, nadir=plan.job.nadir or 0.0)), clock, read_panorama)
-    for panorama in plan.tour.panoramas:
-        yield panorama.image, loader[plan.job.images.index(panorama.image)], None
+    for panorama, index in zip(plan.tour.panoramas, _indices(plan), strict=True):
+        yield panorama.image, loader[index], None
+
+
+def _indices(plan: TourPlan) -> list[int]:
+    """Of the job's images, for every panorama of the tour."""
+    return [plan.job.images.index(panorama.image) for panorama in plan.tour.panoramas]
 
 
 def _views_with_depth(
@@ -135,9 +140,11 @@ def _views_with_depth(
 def _write_clips(plan: TourPlan, site: Site, staged: Path) -> None:
     """Videos of every way in both directions, level and looking north like the panoramas that they begin and end with.
 
-    They are made of the panoramas as the site has them. The way back is the way there, played backwards.
+    They are made as a video between the two panoramas would be, with all that was asked for. The way back is the way
+    there, played backwards.
     """
     job, pictures = plan.job, {panorama.identity: staged / panorama.picture for panorama in site.panoramas}
+    index_of = {panorama.identity: k for panorama, k in zip(site.panoramas, _indices(plan), strict=True)}
     clips = {
         (panorama.identity, mark.target): staged / mark.clip
         for panorama in site.panoramas
@@ -147,23 +154,32 @@ def _write_clips(plan: TourPlan, site: Site, staged: Path) -> None:
     make_folder(staged / CLIPS, "clips")
     with hidden_folder(staged / CLIPS) as folder:
         poses = folder / POSES_NAME
-        level = {panorama.identity: Pose(np.eye(3), panorama.position) for panorama in site.panoramas}
-        write_poses(poses, {pictures[name].name: PosedPanorama(pose) for name, pose in level.items()})
+        write_poses(poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)), allow_outside=True)
         for (first, second), clip in clips.items():
             if first > second:
                 continue
-            images = pictures[first], pictures[second]
-            rows = min(*(read_header(image).height for image in images), MAX_CLIP_ROWS)
+            rows = min(*(read_header(pictures[end]).height for end in (first, second)), MAX_CLIP_ROWS)
             size = (rows - rows % 2, 2 * (rows - rows % 2))
-            there = InterpolationJob(
-                images, poses, clip, preset=job.preset, device=job.device, threads=job.threads, nadir=job.nadir,
-                frames=CLIP_FRAMES, fps=CLIP_FPS, crf=CLIP_CRF, size=size,
-            )  # fmt: skip
-            run_interpolation(plan_interpolation(there))
+            there = _clip_job(plan, (index_of[first], index_of[second]), poses)
+            run_interpolation(plan_interpolation(replace(there, output=clip, size=size)))
             frames = list(read_frames(clip, size, CLIP_FRAMES))
             with open_video(clips[second, first], size=size, fps=CLIP_FPS, crf=CLIP_CRF) as sink:
                 for frame in reversed(frames):
                     sink.write(frame)
+
+
+def _clip_job(plan: TourPlan, ends: tuple[int, int], poses: Path) -> InterpolationJob:
+    """The video between two panoramas of a tour, by all that the tour's job says; their poses are known by now."""
+    job = plan.job
+    asked: dict[str, Any] = {field.name: getattr(job, field.name) for field in fields(TourJob)}
+    settled = {
+        "images": tuple(job.images[k] for k in ends), "masks": tuple(job.masks[k] for k in ends if job.masks),
+        "poses": poses, "allow_outside": True, "depth": plan.config.depth.kind,
+        "baseline": None, "camera_height": None, "refine": False, "finds_order": False, "tour": None, "is_chain": True,
+        "fallback": InterpolationJob.fallback if job.fallback == TourJob.fallback else job.fallback,
+    }  # fmt: skip
+    video = {"heading": "fixed", "frames": CLIP_FRAMES, "fps": CLIP_FPS, "crf": CLIP_CRF}
+    return InterpolationJob(**{**asked, **settled, **video})
 
 
 def _write(target: Path, content: bytes) -> None:

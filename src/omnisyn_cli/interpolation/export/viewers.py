@@ -208,7 +208,7 @@ KRPANO_ACTIONS: Mapping[str, tuple[dict[str, str], str]] = {
 
 def _krpano_scene(root: ElementTree.Element, panorama: SitePanorama, fov: float | None) -> None:
     caption = " – ".join(filter(None, (panorama.title, panorama.caption)))
-    texts = {"title": html.escape(panorama.title), "caption": html.escape(caption)}
+    texts = {"title": _krpano_text(panorama.title), "caption": _krpano_text(caption)}
     scene = ElementTree.SubElement(root, "scene", {"name": f"scene_{panorama.identity}", **texts})
     shown = math.degrees(math.radians(MARZIPANO_FOV) if fov is None else fov)
     view = _krpano_angles(panorama, "hlookat", "vlookat")
@@ -237,13 +237,18 @@ def _krpano_mark(mark: SiteMark, position: Float[np.ndarray, " 3"]) -> Iterator[
         place = position + np.asarray(angles_to_direction(np.array(mark.yaw), np.array(polar_angle)))
     yield from _krpano_angles(mark, "ath", "atv").items()
     yield from _krpano_place(place, ("tx", "ty", "tz")).items()
-    yield "text", html.escape(mark.text)
+    yield "text", _krpano_text(mark.text)
     if mark.target is not None:
         yield "linkedscene", f"scene_{mark.target}"
         yield "onclick", "omnisyn_go(get(linkedscene));"
     elif mark.link or mark.image:
         yield "address", mark.link or mark.image or ""
         yield "onclick", "openurl(get(address));"
+
+
+def _krpano_text(text: str) -> str:
+    """As HTML, without what krpano reads as a tag or expression (``[…]``) or as the begin of one (``get:``)."""
+    return html.escape(text).translate({ord(sign): f"&#{ord(sign)};" for sign in "[]:"})
 
 
 def _krpano_angles(at: SiteMark | SitePanorama, horizontal: str, vertical: str) -> dict[str, str]:

@@ -116,6 +116,9 @@ class TourPacker:
         self._surfaces: list[dict[str, Any]] = []
         self._surface_of: dict[int, int] = {}
         self._links: dict[int, dict[str, Any]] = {}
+        # damaged ones are found before any depth is
+        self._pictures = {file: self._picture(file, HOTSPOT_PIXELS) for file in plan.tour.hotspot_pictures}
+        self._floor = None if plan.tour.plan is None else self._packed_floor(plan.tour.plan)
 
     def add(self, pair: PairSurfaces) -> None:
         """One more pair; in the end all of them have to be there."""
@@ -139,7 +142,7 @@ class TourPacker:
         manifest = {
             "version": FORMAT_VERSION, "title": tour.title, "isGeographic": tour.is_geographic,
             "start": self._start(tour.start), "panoramas": panoramas, "links": links, "surfaces": self._surfaces,
-            "hotspots": self._hotspots(tour.hotspots), "plan": None if tour.plan is None else self._floor(tour.plan),
+            "hotspots": self._hotspots(tour.hotspots), "plan": self._floor,
             "tables": tables.ravel().tolist(), "files": None,
         }  # fmt: skip
         return PackedViewer(tour.title, manifest, tuple(self._contents))
@@ -169,7 +172,7 @@ class TourPacker:
             {
                 "text": hotspot.text,
                 "link": hotspot.link,
-                "image": None if hotspot.image is None else self._picture(hotspot.image, HOTSPOT_PIXELS),
+                "image": None if hotspot.image is None else self._pictures[hotspot.image],
                 "place": _place(hotspot, surface),
             }
             for hotspot in hotspots
@@ -180,7 +183,7 @@ class TourPacker:
         content, kind = packed_photograph(read_picture(file, longest_side), is_lossless=file.suffix.lower() == ".png")
         return {"block": self.blocks.add(content), **kind}
 
-    def _floor(self, plan: FloorPlan) -> dict[str, Any]:
+    def _packed_floor(self, plan: FloorPlan) -> dict[str, Any]:
         """The floor plan, with the places (x, z) of its upper left, upper right and lower left corner."""
         header, picture = read_header(plan.image), self._picture(plan.image, PLAN_PIXELS)
         # the header tells the sides as stored, the picture stands upright

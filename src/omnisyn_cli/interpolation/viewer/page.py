@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import json
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,9 @@ SCRIPTS = (
 
 INDEX_NAME, MODULE_NAME, MANIFEST_NAME = "index.html", "omnisyn-walk.js", "walk.json"
 """Files of a folder besides its blocks."""
+
+NAMED_BLOCK = re.compile(r'(?<=")\d{4,}\.bin(?=")')
+"""Names of blocks in the text of a manifest."""
 
 
 NEEDS_A_SERVER = "<p>Browsers read the files of this walk from a web server only, such as omnisyn view --serve.</p>\n"

@@ -24,9 +24,16 @@ from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
 from omnisyn_cli.interpolation.viewer.packing import level_widths
-from omnisyn_cli.interpolation.viewer.page import MAX_PAGE_BYTES, block_name, write_folder, write_page
+from omnisyn_cli.interpolation.viewer.page import (
+    MANIFEST_NAME,
+    MAX_PAGE_BYTES,
+    NAMED_BLOCK,
+    block_name,
+    write_folder,
+    write_page,
+)
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder, write_parts
+from omnisyn_cli.io.outputs import check_empty_folder, check_kept, replaced_folder, write_parts
 from omnisyn_cli.types import DepthEstimator
 
 JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
@@ -176,9 +183,12 @@ def run_view(
     clock = Stopwatch()
     pairs: dict[int, PairConfidence] = {}
     left_out: dict[int, float] = {}
-    with staged_folder(plan.job.output) if plan.job.is_folder else nullcontext() as staged:
+    job = plan.job
+    folder = replaced_folder(job.output, [MANIFEST_NAME], NAMED_BLOCK, overwrite=job.overwrite)
+    with folder if job.is_folder else nullcontext() as staged:
         keep = None if staged is None else partial(_write_block, staged)
-        packer = TourPacker(plan, plan.job.options, keep)
+        with clock("pack"):
+            packer = TourPacker(plan, job.options, keep)
         for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
             refuse_doubtful(plan, pair.index, pair.cross_check.confidence)
             with clock("pack"):
@@ -190,7 +200,7 @@ def run_view(
         with clock("write"):
             packed_viewer = packer.packed()
             if staged is None:
-                size = write_page(plan.job.output, packed_viewer)
+                size = write_page(job.output, packed_viewer)
             else:
                 size = packer.blocks.size + write_folder(staged, packed_viewer, len(packer.blocks))
     return ViewSummary(plan, clock.with_total(), pairs, left_out, size)
