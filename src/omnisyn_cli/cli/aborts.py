@@ -1,9 +1,12 @@
-"""The last words of C++ libraries: where memory runs out in a thread of theirs, nobody can catch it."""
+"""The last words of C++ libraries: where memory runs out in a thread of theirs, nobody can catch it.
 
-import os
+What C++ calls then is machine code. Python code would wait for Python's lock, perhaps for ever: its owner may itself be
+waiting for that thread.
+"""
+
 import sys
-from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 from omnisyn_cli.cli.failures import EXIT_FAILURE, memory_failure
 
@@ -13,17 +16,45 @@ CXX_LIBRARY = "libstdc++.so.6"
 SET_TERMINATE = "_ZSt13set_terminatePFvvE"
 """The mangled name of ``std::set_terminate``."""
 
-MEMORY_EXCEPTIONS = {b"St9bad_alloc": "no more memory", b"St12system_error": "no more threads"}
-"""Mangled names of exceptions, and what they mean."""
+CXX_FUNCTIONS = {
+    "omnisyn_former_handler": "_ZN9__gnu_cxx27__verbose_terminate_handlerEv",
+    "omnisyn_thrown_type": "__cxa_current_exception_type",
+    "omnisyn_is_type": "_ZNKSt9type_info10__do_catchEPKS_PPvj",
+}
+"""What the handler calls, by the names that it has for them, and their mangled names; the last compares two types."""
 
-STDERR = 2
-"""The file descriptor of POSIX."""
+MEMORY_TYPES = ("_ZTISt9bad_alloc", "_ZTISt12system_error")
+"""Mangled names of the types of exceptions that mean: no more memory, and no more threads."""
 
-TYPE_NAME = 1
-"""Which word of ``std::type_info`` leads to the name."""
+HANDLER = """
+declare i64 @omnisyn_thrown_type()
+declare zeroext i1 @omnisyn_is_type(i64, i64, i64, i32)
+declare void @omnisyn_former_handler()
+declare i64 @write(i32, i64, i64)
+declare void @_exit(i32)
 
-_kept: list[Callable[[], None]] = []
-"""What C++ calls, which must not be collected, and what it called before."""
+define void @omnisyn_say_memory_failure() {{
+  %thrown = call i64 @omnisyn_thrown_type()
+  %is_any = icmp ne i64 %thrown, 0
+  br i1 %is_any, label %known, label %other
+known:
+  %is_memory = call zeroext i1 @omnisyn_is_type(i64 {memory}, i64 %thrown, i64 0, i32 0)
+  %is_threads = call zeroext i1 @omnisyn_is_type(i64 {threads}, i64 %thrown, i64 0, i32 0)
+  %is_ours = or i1 %is_memory, %is_threads
+  br i1 %is_ours, label %ours, label %other
+ours:
+  call i64 @write(i32 2, i64 {text}, i64 {length})
+  call void @_exit(i32 {code})
+  unreachable
+other:
+  call void @omnisyn_former_handler()
+  unreachable
+}}
+"""
+"""In the assembly language of LLVM, of any version: addresses are whole numbers here. 2 is standard error."""
+
+_kept: list[Any] = []
+"""The text and the machine code, which must not be collected."""
 
 
 def explain_memory_aborts() -> None:
@@ -35,20 +66,31 @@ def explain_memory_aborts() -> None:
         return
     import ctypes
 
-    called = ctypes.CFUNCTYPE(None)
-    with suppress(OSError, AttributeError):
+    with suppress(OSError, AttributeError, ValueError):
         library = ctypes.CDLL(CXX_LIBRARY)
-        library.__cxa_current_exception_type.restype = ctypes.POINTER(ctypes.c_void_p)
-        set_terminate = library[SET_TERMINATE]
-        set_terminate.argtypes, set_terminate.restype = [called], called
+        functions = {
+            name: ctypes.cast(library[mangled], ctypes.c_void_p).value for name, mangled in CXX_FUNCTIONS.items()
+        }
+        memory, threads = (ctypes.addressof(ctypes.c_char.in_dll(library, mangled)) for mangled in MEMORY_TYPES)
+        line = f"omnisyn: {memory_failure('no more memory or threads')}\n".encode()
+        text = ctypes.create_string_buffer(line)
+        assembly = HANDLER.format(
+            memory=memory, threads=threads, text=ctypes.addressof(text), length=len(line), code=EXIT_FAILURE
+        )
+        engine = _compiled(assembly, functions)
+        _kept.extend((text, engine))
+        library[SET_TERMINATE](ctypes.c_void_p(engine.get_function_address("omnisyn_say_memory_failure")))
 
-        def end() -> None:
-            found = library.__cxa_current_exception_type()
-            meaning = MEMORY_EXCEPTIONS.get(ctypes.string_at(found[TYPE_NAME])) if found else None
-            if meaning is not None:
-                os.write(STDERR, f"omnisyn: {memory_failure(meaning)}\n".encode())
-                os._exit(EXIT_FAILURE)
-            _kept[1]()
 
-        _kept.append(called(end))
-        _kept.append(set_terminate(_kept[0]))
+def _compiled(assembly: str, functions: dict[str, int | None]) -> Any:
+    """Machine code, with the addresses of functions that it calls."""
+    from llvmlite import binding  # type: ignore[import-untyped]
+
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    for name, address in functions.items():
+        binding.add_symbol(name, address)
+    machine = binding.Target.from_default_triple().create_target_machine()
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(assembly), machine)
+    engine.finalize_object()
+    return engine
