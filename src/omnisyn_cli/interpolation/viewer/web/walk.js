@@ -226,7 +226,8 @@ export class OmnisynWalk extends EventTarget {
       if (isOpening && !this.fade) this.say(done < now.length ? `Unpacking surfaces, ${done} of ${now.length} …` : '');
       const isDone = done === now.length;
       if (isDone) this.opened();
-      if (isDone || !this.drawn) this.change(); // pictures on the way cost more than they show
+      if (!this.drawn) this.draw(); // at once, before anything else is unpacked
+      if (isDone) this.change(); // pictures on the way cost more than they show
     });
   }
 
