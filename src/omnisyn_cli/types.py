@@ -208,7 +208,7 @@ class Layer:
         colour_rows: called with a first row, the row after the last, and a buffer ``(rows, width, 4)`` that it writes:
             RGB and blend weight. The weight is 0 where nothing is seen, else up to 1; beside a mask interpolation may
             overshoot slightly. Thread-safe until the layer's renderer is called again.
-        colours_at_crossings: returns such colours ``(rows, columns, 4)`` where given ascending rows and columns cross.
+        subsampled_colours: returns such colours ``(rows, columns, 4)`` where given ascending rows and columns cross.
         target_from_source: the transform it was rendered with.
         cached_colour: all colours ``(height, width, 4)``, if they are shaded already.
         edge_samples: inverse depth and colours of the samples of edge pixels, in new arrays; None if the renderer
@@ -218,7 +218,7 @@ class Layer:
 
     inverse_depth: Float32[Array, "height width"]
     colour_rows: Callable[[int, int, Array], None]
-    colours_at_crossings: Callable[[np.ndarray, np.ndarray], Array]
+    subsampled_colours: Callable[[np.ndarray, np.ndarray], Array]
     target_from_source: Pose
     cached_colour: Float32[Array, "height width 4"] | None = None
     edge_samples: Callable[[EdgePixels], EdgeSamples] | None = None

@@ -88,9 +88,9 @@ def test_gradients_are_finite_holes_infinity_and_equal_depths_included() -> None
 
 def test_hiding_sets_in_smoothly_and_symmetrically() -> None:
     t = np.linspace(0, 1, 201)
-    strictness = np.array([BlendRule.at(x, BlendOptions()).strictness for x in t])
-    np.testing.assert_allclose(strictness, strictness[::-1], atol=1e-12)
-    assert strictness[0] == strictness[-1] == 0
-    assert (strictness[20:181] == 1).all()
-    assert np.abs(np.diff(strictness)).max() < 0.1
-    assert (np.diff(strictness[:21]) >= 0).all()
+    occlusion_strength = np.array([BlendRule.at(x, BlendOptions()).occlusion_strength for x in t])
+    np.testing.assert_allclose(occlusion_strength, occlusion_strength[::-1], atol=1e-12)
+    assert occlusion_strength[0] == occlusion_strength[-1] == 0
+    assert (occlusion_strength[20:181] == 1).all()
+    assert np.abs(np.diff(occlusion_strength)).max() < 0.1
+    assert (np.diff(occlusion_strength[:21]) >= 0).all()

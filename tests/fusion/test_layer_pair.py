@@ -35,7 +35,7 @@ def rendering(seed: int, size: tuple[int, int], offset: float) -> Layer:
 
 
 def on_demand(view: Layer) -> Layer:
-    return asked(Layer(view.inverse_depth, view.colour_rows, view.colours_at_crossings, view.target_from_source))
+    return asked(Layer(view.inverse_depth, view.colour_rows, view.subsampled_colours, view.target_from_source))
 
 
 def pair(size: tuple[int, int]) -> tuple[Layer, Layer]:

@@ -112,11 +112,11 @@ def test_at_the_ends_photographs_are_shown_as_they_are(t: float) -> None:
 def test_samples_set_in_with_the_rule() -> None:
     """Half way between none and all of them, half of the change."""
     t = 0.05
-    strictness = BlendRule.at(t, BlendOptions()).strictness
+    occlusion_strength = BlendRule.at(t, BlendOptions()).occlusion_strength
     without, there = fused(VIEWS, SIZE, t, edges=False), edge_pixels(fused(VIEWS, SIZE, t, edges=False))
     every = halved(fused(FINE_VIEWS, DOUBLE, t, edges=False))
-    expected = without + strictness * (every - without)
-    assert strictness == pytest.approx(0.5)
+    expected = without + occlusion_strength * (every - without)
+    assert occlusion_strength == pytest.approx(0.5)
     assert (np.abs(fused(VIEWS, SIZE, t) - expected).max(axis=-1)[there] < 0.01).mean() > 0.9
 
 

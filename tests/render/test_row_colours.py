@@ -36,7 +36,7 @@ def test_rows_and_crossings_are_those_of_the_whole(name: str) -> None:
         seen.colour_rows(top, top + 7, out)
         np.testing.assert_allclose(out, colour[top : top + 7], atol=1e-6)
     which = np.array([0, 3, 4, 39]), np.array([1, 2, 50, 79])
-    np.testing.assert_allclose(seen.colours_at_crossings(*which), colour[np.ix_(*which)], atol=1e-6)
+    np.testing.assert_allclose(seen.subsampled_colours(*which), colour[np.ix_(*which)], atol=1e-6)
 
 
 def test_colours_on_demand_are_those_of_the_whole_shader() -> None:

@@ -13,7 +13,7 @@ from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_fr
 from omnisyn_cli.stereo.rectify import rectify, resize_area
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.stereo.sky import find_sky
-from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _spread
+from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _smoothed_support
 
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
@@ -186,8 +186,8 @@ def test_sky_needs_the_zenith_and_texture() -> None:
 def test_support_knows_no_seam_at_any_width(size: tuple[int, int]) -> None:
     mask = RNG.random(size) < 0.1
     for columns in (1, size[1] // 2):
-        rolled = _spread(np.roll(mask, columns, axis=1))
-        np.testing.assert_allclose(rolled, np.roll(_spread(mask), columns, axis=1), atol=1e-5)
+        rolled = _smoothed_support(np.roll(mask, columns, axis=1))
+        np.testing.assert_allclose(rolled, np.roll(_smoothed_support(mask), columns, axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(6, 12), (8, 16), (24, 48)])

@@ -58,20 +58,20 @@ class BlendRule:
         t: share of the way.
         disagreement: see :class:`BlendOptions`.
         hidden_weight: the least share of its weight that a hidden surface keeps here: all of it at both ends.
-        strictness: how strictly the nearer surface wins: 0 at both ends of the way, 1 in between.
+        occlusion_strength: how strictly the nearer surface wins: 0 at both ends of the way, 1 in between.
     """
 
     t: float
     disagreement: float
     hidden_weight: float
-    strictness: float
+    occlusion_strength: float
 
     @staticmethod
     def at(t: float, options: BlendOptions) -> BlendRule:
         """At a share ``t`` of the way; visibility sets in by a smooth step from either end."""
         x = min(1.0, min(t, 1.0 - t) / options.ramp_share)
-        strictness = x * x * (3.0 - 2.0 * x)
-        return BlendRule(t, options.disagreement, options.hidden_weight**strictness, strictness)
+        occlusion_strength = x * x * (3.0 - 2.0 * x)
+        return BlendRule(t, options.disagreement, options.hidden_weight**occlusion_strength, occlusion_strength)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,10 @@ def view_weights(
     """
     xp = array_namespace(first.weight)
     zero, one = xp.zeros_like(first.weight), xp.ones_like(first.weight)
-    a, b = (xp.where(layer.is_seen, layer.weight * _proximity(layer, directions), zero) for layer in (first, second))
+    a, b = (
+        xp.where(layer.is_seen, layer.weight * _inverse_distance_weight(layer, directions), zero)
+        for layer in (first, second)
+    )
     gap = normalized_depth_gap(first, second, rule.disagreement)
     # A surface hides another only as far as its own depth is reliable.
     depth_confidence = xp.clip(DEPTH_CONFIDENCE_GAIN * xp.where(gap > 0.0, first.weight, second.weight), max=1.0)
@@ -132,7 +135,7 @@ def normalized_depth_gap(first: LayerArrays, second: LayerArrays, disagreement: 
     return (rho_a - rho_b) / (xp.maximum(rho_a, rho_b) * disagreement + 1e-9)
 
 
-def _proximity(layer: LayerArrays, directions: Float[Array, "*pixels 3"]) -> Float[Array, "*pixels"]:
+def _inverse_distance_weight(layer: LayerArrays, directions: Float[Array, "*pixels 3"]) -> Float[Array, "*pixels"]:
     """(Distance from the target / distance from the source) of what is seen, cubed."""
     xp = array_namespace(layer.weight)
     from_source = directions - layer.clipped_inverse_depth[..., None] * layer.offset

@@ -70,12 +70,12 @@ class GhostOptions:
         min_difference: least difference of the mean colours in any channel, sRGB values.
         min_colour_outside_range: how far one colour has to lie outside of the range of the other layer in nearby
             cells. A thing that is merely displaced by wrong depth lies inside.
-        light_radius: radius in cells over which a common difference counts as light, not as a thing.
+        illumination_radius: radius in cells over which a common difference counts as light, not as a thing.
     """
 
     min_difference: float = 0.12
     min_colour_outside_range: float = 0.08
-    light_radius: int = 12
+    illumination_radius: int = 12
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class GhostRemover:
         else:
             rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
             sampled = xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
-        return Layer.from_arrays(sampled, layer.colours_at_crossings(self._rows, self._cols), layer.target_from_source)
+        return Layer.from_arrays(sampled, layer.subsampled_colours(self._rows, self._cols), layer.target_from_source)
 
     def detect(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
         """The suppression, given both layers as :meth:`downsample` returns them; None without ghosts."""
@@ -159,7 +159,7 @@ class GhostRemover:
     @property
     def _light_radius(self) -> int:
         """Of the box filter that estimates the common difference; it has to fit into the grid."""
-        return min(self.options.light_radius, *(count // 2 - 1 for count in self._grid))
+        return min(self.options.illumination_radius, *(count // 2 - 1 for count in self._grid))
 
     def _cell_means(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
         """Statistics of each cell.
@@ -214,7 +214,9 @@ class GhostRemover:
         # The plain test as well: beside a large moving thing, relighting alone makes unchanged cells differ.
         differs = seen & (_channel_max(xp.abs(difference)) > threshold)
         differs &= _channel_max(xp.abs(first.colour - relit)) > threshold
-        outside = xp.maximum(_out_of_range(first.colour, relit, seen), _out_of_range(relit, first.colour, seen))
+        outside = xp.maximum(
+            _colour_range_excess(first.colour, relit, seen), _colour_range_excess(relit, first.colour, seen)
+        )
         differs &= outside > self.options.min_colour_outside_range
         # Opening: erosion by 1 cell drops thin structures. Dilation by 2 gives back that cell, and one cell of margin.
         rest = dilate(xp.astype(~differs, xp.int32), 1)
@@ -283,7 +285,7 @@ def _neighbour_cells(pixel: Integer[Array, " pixels"], cell_size: int) -> tuple[
     return index, index + 1, position - floor
 
 
-def _out_of_range(one: Array, other: Array, seen: Bool[Array, "rows cols"]) -> Float32[Array, "rows cols"]:
+def _colour_range_excess(one: Array, other: Array, seen: Bool[Array, "rows cols"]) -> Float32[Array, "rows cols"]:
     """How far the colours of one layer lie outside of the other layer's range in the cells around."""
     xp = array_namespace(one)
     unseen, known = xp.full_like(other, -UNSEEN_COLOUR), seen[..., None]

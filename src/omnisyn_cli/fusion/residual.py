@@ -100,7 +100,11 @@ class ResidualFuser(GeometricFuser):
             InputError: the network does not take the channels, or answers something else.
         """
         rule = BlendRule.at(t, self.options)
-        if self._inputs is None or rule.strictness < MIN_CORRECTION_STRENGTH or have_same_position(first, second):
+        if (
+            self._inputs is None
+            or rule.occlusion_strength < MIN_CORRECTION_STRENGTH
+            or have_same_position(first, second)
+        ):
             return super().__call__(first, second, t, out, confidence)
         if self._ghosts.is_full_resolution:
             first, second = self.tiles.with_cached_colours(first, second)
@@ -111,7 +115,7 @@ class ResidualFuser(GeometricFuser):
         small_layers = LayerPair(small_first, small_second).with_step(small_step)
         channels, candidates = self._inputs(small_layers, rule, _source_samplers(first, second))
         if not needs_no_network(channels):
-            strength = np.full(channels.shape[1:], rule.strictness, np.float32)
+            strength = np.full(channels.shape[1:], rule.occlusion_strength, np.float32)
             if suppression is not None:
                 strength *= ghost_free_mask(suppression, strength.shape)
             self.correct(channels, candidates, strength, out)

@@ -58,11 +58,11 @@ class EdgeSupersampler:
 
         Args:
             layers: what it was blended of; they can be supersampled.
-            rule: how they were blended; supersampling sets in with its strictness.
+            rule: how they were blended; supersampling sets in with its occlusion strength.
             out: the picture, float32 or unsigned integers.
         """
         height, _ = self.size
-        share, scalars, quantization = np.float32(rule.strictness), kernel_rule(rule), quantization_for(out)
+        share, scalars, quantization = np.float32(rule.occlusion_strength), kernel_rule(rule), quantization_for(out)
         if share < MIN_SUPERSAMPLING_SHARE or have_same_position(layers.first, layers.second):
             return
         marks = self.mark(layers, out)

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_to_angles
-from omnisyn_cli.networks.interface import DepthAnswer
+from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, init_small, initialise
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
@@ -69,7 +69,7 @@ COMPLETION_VARIANTS = {
 
 
 @dataclass(frozen=True)
-class CompletionPrediction(DepthAnswer):
+class CompletionPrediction(DepthPrediction):
     """Two modes for every pixel, which of them is right, and the confidence.
 
     Attributes:

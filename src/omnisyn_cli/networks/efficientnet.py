@@ -33,7 +33,7 @@ TAPS = (0, 2, 4, 10, 15)
 CHANNELS = (16, 24, 40, 112, 320)
 """Of the feature maps at strides 2, 4, 8, 16 and 32."""
 
-SHIFTS = (1, 0, 1, 0, 1)
+STRIDE_CENTRE_OFFSETS = (1, 0, 1, 0, 1)
 """Where the outputs of each strided convolution are centred: on the left (0) or right (1) input of every two.
 
 Alternating keeps the drift small: features at stride 4 lie half an input pixel before the centre of their block.
@@ -65,7 +65,7 @@ class SphereConv(nn.Conv2d):
     """A convolution without bias that wraps around the seam and sees zeros beyond the poles.
 
     Args:
-        shift: of a strided one, see :data:`SHIFTS`.
+        shift: of a strided one, see :data:`STRIDE_CENTRE_OFFSETS`.
     """
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, shift: int, groups: int = 1) -> None:
@@ -108,7 +108,7 @@ class EfficientNetLite0(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        shifts = iter(SHIFTS)
+        shifts = iter(STRIDE_CENTRE_OFFSETS)
         self.stem = SphereConv(3, 32, 3, 2, next(shifts))
         self.stem_norm = FrozenBatchNorm(32)
         blocks = []

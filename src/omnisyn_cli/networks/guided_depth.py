@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_direction
 from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
-from omnisyn_cli.networks.interface import DepthAnswer, Network, NetworkConfig, Ports, check_multiple
+from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
 
 __all__ = [
@@ -41,7 +41,7 @@ GUIDANCE_CHANNELS = 8
 score. Then whether there is matching, and whether there are plane sweeps. All is zero where there is none."""
 
 FEATURE_SHIFT = -0.125
-"""Columns and rows of the quarter-size features by which their centres are off, see ``SHIFTS`` of the encoder."""
+"""Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``."""
 
 LOG_SCALES = (-6.0, 2.0)
 """Bounds of the log of the Laplace scale."""
@@ -89,7 +89,7 @@ GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}
 
 
 @dataclass(frozen=True)
-class GuidedDepthPrediction(DepthAnswer):
+class GuidedDepthPrediction(DepthPrediction):
     """The estimate, how sure it is, and the estimates on the way.
 
     Attributes:

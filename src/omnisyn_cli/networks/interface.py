@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from omnisyn_cli.networks.layers import sizes
 
-__all__ = ["DepthAnswer", "Network"]
+__all__ = ["DepthPrediction", "Network"]
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class PairNetwork(Network):
         return Ports(both, size=self.config.size, notes={"frame": "forward"}, is_folded=self.is_folded)
 
 
-class DepthAnswer:
+class DepthPrediction:
     """The prediction of a depth network for a panorama.
 
     Most predict √(inverse depth × baseline), slightly negative at infinity, and a ``confidence_logit``. Others override

@@ -29,7 +29,7 @@ from torch.nn import functional
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.networks.interface import DepthAnswer, NetworkConfig, PairNetwork, check_multiple
+from omnisyn_cli.networks.interface import DepthPrediction, NetworkConfig, PairNetwork, check_multiple
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, upsample_linear
 
@@ -103,7 +103,7 @@ PAPER_VARIANTS = {
 
 
 @dataclass(frozen=True)
-class PaperPrediction(DepthAnswer):
+class PaperPrediction(DepthPrediction):
     """The prediction for the first panorama.
 
     Attributes:

@@ -69,7 +69,7 @@ class MatchingOptions:
             where it is not.
         unsupported_plane_penalty: extra cost of a plane far from every point that it was fitted to, and of infinity
             far from static texture: a ceiling is not the sky because a window shows some.
-        beyond_room_penalty: extra cost of a surface below the floor or above a ceiling.
+        outside_floor_ceiling_penalty: extra cost of a surface below the floor or above a ceiling.
         left_right_rows, near_left_right_rows: rows by which both directions may differ, for far and for near things.
     """
 
@@ -91,7 +91,7 @@ class MatchingOptions:
     valid_match_bias: float = 0.15
     invalid_match_bias: float = 0.5
     unsupported_plane_penalty: float = 0.2
-    beyond_room_penalty: float = 0.3
+    outside_floor_ceiling_penalty: float = 0.3
     left_right_rows: float = 1.0
     near_left_right_rows: float = 2.0
 

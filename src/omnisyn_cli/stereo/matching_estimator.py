@@ -38,7 +38,7 @@ __all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptio
 INCONSISTENT_MATCH_WEIGHT = 0.002
 """Weight in filling of a disparity that only one direction found, against 1 for a consistent one; chosen by eye."""
 
-UPRIGHT_SINE = 0.1
+MAX_WALL_TILT_SINE = 0.1
 """Sine of the tilt (6°) up to which a fitted plane is a wall that says how the room is turned."""
 
 STEEP_SINE, NARROW_MATCHED_SHARE = 0.26, 0.6
@@ -130,13 +130,13 @@ def _find_planes(
 
     Both directions have the same: a plane that only one may choose fails the left-right check.
     """
-    if not _is_canonical(pairs[0]):
+    if not _is_canonical_order(pairs[0]):
         second, first = _find_planes(pairs[::-1], matches[::-1], options)
         return first, second
     points = both(*(partial(_plane_points, pair, each) for pair, each in zip(pairs, matches, strict=True)))
     fitted = find_planes(points, pairs[0].grid.up, max_planes=options.max_planes, min_support=options.min_plane_support)
     axes = _sweep_axes(pairs[0].grid.up, fitted)
-    swept = np.zeros((0, 3)) if _is_narrow(pairs, matches) else sweep_planes(pairs[0], axes)
+    swept = np.zeros((0, 3)) if _is_narrow_baseline(pairs, matches) else sweep_planes(pairs[0], axes)
     different = [normal for normal in fitted if not any(_is_same_plane(normal, each) for each in swept)]
     is_swept = np.repeat([True, False], [len(swept), len(different)])
     planes = CandidatePlanes(np.concatenate([swept, np.reshape(different, (-1, 3))]), is_swept)
@@ -145,7 +145,7 @@ def _find_planes(
 
 def _sweep_axes(up: np.ndarray, fitted: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "axes 3"]:
     """Up, and the two level axes that the best supported wall is across and along, if there is any."""
-    upright = [normal for normal in fitted if abs(normal @ up) < UPRIGHT_SINE * np.linalg.norm(normal)]
+    upright = [normal for normal in fitted if abs(normal @ up) < MAX_WALL_TILT_SINE * np.linalg.norm(normal)]
     if not upright:
         return up[None]
     level = upright[0] - (upright[0] @ up) * up
@@ -153,7 +153,7 @@ def _sweep_axes(up: np.ndarray, fitted: Float[np.ndarray, "planes 3"]) -> Float[
     return np.stack([up, level, np.cross(up, level)])
 
 
-def _is_narrow(pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap]) -> bool:
+def _is_narrow_baseline(pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap]) -> bool:
     """Whether matching sees enough of ground and ceiling, so that no sweep has to."""
     for pair, each in zip(pairs, matches, strict=True):
         weight = np.sin(pair.grid.polar_angle) * (is_textured(pair.first) & pair.first_usable)
@@ -164,7 +164,7 @@ def _is_narrow(pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[Dispar
     return True
 
 
-def _is_canonical(pair: RectifiedPair) -> bool:
+def _is_canonical_order(pair: RectifiedPair) -> bool:
     """One panorama of the two by their places alone, so that exchanged panoramas have the same planes."""
     way = pair.world_from_frame[:, 1]
     return bool(way[np.abs(way).argmax()] > 0)

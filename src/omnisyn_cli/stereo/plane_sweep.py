@@ -182,7 +182,7 @@ def _plane_disparity_rows(  # type: ignore[no-untyped-def]
                 disparity[row, col] = math.atan2(nearest * sine, 1.0 - nearest * cosine) * (height / math.pi)
 
 
-def _in_each(directions: Directions, work: Callable[[int, SweepDirection], T]) -> tuple[T, T]:
+def _for_both_directions(directions: Directions, work: Callable[[int, SweepDirection], T]) -> tuple[T, T]:
     """``work`` on both images at the same time: a thread each, as small images are not worth sharing."""
 
     def alone(which: int) -> T:
@@ -263,7 +263,7 @@ class AxisSweep:
                 found[k] = 255.0 * _scores(direction, planes_from_second(normals) if which else normals).ravel()
             return found
 
-        return AxisSweep(directions, axis, distances, np.stack(_in_each(directions, scores)))
+        return AxisSweep(directions, axis, distances, np.stack(_for_both_directions(directions, scores)))
 
     def half(self, side: int) -> list[Bool[np.ndarray, " pixels"]]:
         """The pixels of both images that look against the axis (0) or along it (1)."""
@@ -271,12 +271,12 @@ class AxisSweep:
         pairs = zip(self.directions, axes, strict=True)
         return [((2 * side - 1) * (each.pair.grid.directions @ axis) > 0).ravel() for each, axis in pairs]
 
-    def totals(self, side: int) -> Float[np.ndarray, "2 distances"]:
+    def support(self, side: int) -> Float[np.ndarray, "2 distances"]:
         """Share of the textured sphere that each plane on a side explains, in both images."""
         areas = [each.textured_area.ravel() * mask for each, mask in zip(self.directions, self.half(side), strict=True)]
         return np.stack([_weighted_sum(scores, area) for scores, area in zip(self.scores, areas, strict=True)])
 
-    def best_points(self, which: int) -> PlanePoints:
+    def winning_points(self, which: int) -> PlanePoints:
         """Every textured pixel that looks against the axis at the distance that fits best around it, within a step."""
         direction = self.directions[which]
         grid = direction.pair.grid
@@ -307,20 +307,20 @@ class HalfSweep(NamedTuple):
         sweep: they are part of.
         side: 0 where pixels look against the axis, 1 along it.
         mask: the pixels of both images that do.
-        totals: what each plane explains of what is not explained yet.
-        is_open: distances that may still be found.
+        support: what each plane explains of what is not explained yet.
+        is_candidate: distances that may still be found.
     """
 
     sweep: AxisSweep
     side: int
     mask: list[Bool[np.ndarray, " pixels"]]
-    totals: Float[np.ndarray, "2 distances"]
-    is_open: Bool[np.ndarray, " distances"]
+    support: Float[np.ndarray, "2 distances"]
+    is_candidate: Bool[np.ndarray, " distances"]
 
     def remove(self, which: int, pixels: Int[np.ndarray, " pixels"], weight: Float[np.ndarray, " pixels"]) -> None:
         """Pixels of one image that have been explained."""
         chosen = self.mask[which][pixels]
-        self.totals[which] -= _weighted_sum(self.sweep.scores[which][:, pixels[chosen]], weight[chosen])
+        self.support[which] -= _weighted_sum(self.sweep.scores[which][:, pixels[chosen]], weight[chosen])
 
 
 def _weighted_sum(scores: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, " distances"]:
@@ -333,19 +333,19 @@ def _greedy_planes(directions: Directions, axes: np.ndarray) -> list[np.ndarray]
     sweeps = [AxisSweep.of(directions, axis) for axis in axes]
     weights = [direction.textured_area.ravel().copy() for direction in directions]
     halves = [
-        HalfSweep(sweep, side, sweep.half(side), sweep.totals(side), np.ones(len(sweep.distances), bool))
+        HalfSweep(sweep, side, sweep.half(side), sweep.support(side), np.ones(len(sweep.distances), bool))
         for sweep in sweeps
         for side in (0, 1)
     ]
     found: list[np.ndarray] = []
     while len(found) < MAX_SWEPT_PLANES:
-        peaks = [_peak(half.totals * half.is_open) for half in halves]
+        peaks = [_peak(half.support * half.is_candidate) for half in halves]
         excess, at, best = max((*peak, k) for k, peak in enumerate(peaks))
         if excess < MIN_PEAK_EXCESS:
             break
-        sweep, side, mask, _, is_open = halves[best]
+        sweep, side, mask, _, is_candidate = halves[best]
         found.append((2 * side - 1) * sweep.axis / sweep.distances[at])
-        is_open[max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = False
+        is_candidate[max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = False
         for which, weight in enumerate(weights):
             scores = sweep.scores[which, at - 1 : at + 2].max(axis=0)
             explained = np.flatnonzero((weight > 0) & mask[which] & (scores > 255 * (1.0 - EXPLAINED_COST / GOOD_COST)))
@@ -356,13 +356,13 @@ def _greedy_planes(directions: Directions, axes: np.ndarray) -> list[np.ndarray]
     return found if has_floor else [*_sloped_ground(sweeps[0]), *found]
 
 
-def _peak(totals: Float[np.ndarray, "2 distances"]) -> tuple[float, int]:
+def _peak(support: Float[np.ndarray, "2 distances"]) -> tuple[float, int]:
     """Excess over the median and index of the best distance; an excess of 0 if there is no peak.
 
     Of both panoramas the worse one counts. A maximum at either end of the sweep is none.
     """
-    median = np.median(totals, axis=1, keepdims=True)
-    excess, ratio = (totals - median).min(axis=0), (totals / np.maximum(median, 1e-4)).min(axis=0)
+    median = np.median(support, axis=1, keepdims=True)
+    excess, ratio = (support - median).min(axis=0), (support / np.maximum(median, 1e-4)).min(axis=0)
     at = int(excess.argmax())
     if at in (0, len(excess) - 1) or ratio[at] < MIN_PEAK_RATIO:
         return 0.0, at
@@ -375,16 +375,16 @@ def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
     It counts by the rule for peaks.
     """
     up = sweep.axis
-    points = sweep.best_points(0), sweep.best_points(1)
-    median = np.median(sweep.totals(0), axis=1)
+    points = sweep.winning_points(0), sweep.winning_points(1)
+    median = np.median(sweep.support(0), axis=1)
     for proposal in find_planes(points, up, max_planes=MAX_SWEPT_PLANES, min_support=MIN_SLOPE_SUPPORT):
         normal = _fit(sweep.directions, proposal, COARSE_FIT_COUNT)
         seen = normal[None], planes_from_second(normal[None])
-        totals = [
+        support = [
             float((_scores(direction, each) * direction.textured_area).sum())
             for direction, each in zip(sweep.directions, seen, strict=True)
         ]
-        excess, ratio = min(totals - median), min(totals / np.maximum(median, 1e-4))
+        excess, ratio = min(support - median), min(support / np.maximum(median, 1e-4))
         if _is_nearly_parallel(-up, normal) and excess > MIN_PEAK_EXCESS and ratio > MIN_PEAK_RATIO:
             return [normal]
     return []
@@ -399,6 +399,6 @@ def _fit(directions: Directions, normal: Float[np.ndarray, " 3"], times: int) ->
 
 def _fit_once(directions: Directions, normal: np.ndarray, from_second: np.ndarray) -> Float[np.ndarray, " 3"]:
     normals = normal, from_second
-    points = _in_each(directions, lambda which, direction: direction.matched_points(normals[which]))
+    points = _for_both_directions(directions, lambda which, direction: direction.matched_points(normals[which]))
     equations = PlaneEquations.of(*points)
     return fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool))

@@ -21,7 +21,7 @@ from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, resize_area
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
-BEHIND_CAMERA = np.float32(-1.0)
+NOT_VISIBLE_DISPARITY = np.float32(-1.0)
 """Disparity of a surface that a pixel cannot show."""
 
 PLANE_SUPPORT_SIGMAS_PER_HEIGHT = 24.0
@@ -91,9 +91,9 @@ def label_surfaces(
     cost = _candidate_costs(pair, disparities, options)
     support = _plane_support(pair, matches, candidates, cost[..., 1 : 1 + len(planes)])
     if is_sky_open:
-        support = np.concatenate([support, _spread(is_static)[..., None]], axis=-1)
+        support = np.concatenate([support, _smoothed_support(is_static)[..., None]], axis=-1)
     is_beyond = disparities < _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
-    cost += options.beyond_room_penalty * is_beyond
+    cost += options.outside_floor_ceiling_penalty * is_beyond
     cost[..., 0] += np.where(matches.valid, options.valid_match_bias, options.invalid_match_bias)
     cost[..., 1:] += options.unsupported_plane_penalty * (1.0 - support)
     label = _select_labels(cost, luminance_of(pair.first), disparities < 0, options)
@@ -122,9 +122,9 @@ def _candidate_disparities(
     candidates = [matches.disparity]
     for normal in planes:
         disparity = grid.disparity(grid.directions @ normal)
-        candidates.append(np.where(disparity < lowest, BEHIND_CAMERA, disparity))
+        candidates.append(np.where(disparity < lowest, NOT_VISIBLE_DISPARITY, disparity))
     if is_sky_open:
-        candidates.append(np.where(grid.sin_elevation > 0, 0.0, BEHIND_CAMERA).astype(np.float32))
+        candidates.append(np.where(grid.sin_elevation > 0, 0.0, NOT_VISIBLE_DISPARITY).astype(np.float32))
     return np.stack(candidates, axis=-1)
 
 
@@ -153,14 +153,16 @@ def _plane_support(
     texture = np.maximum(_density(textured), FULL_PLANE_SUPPORT_DENSITY)
     support = np.empty_like(cost)
     for k, (normal, is_swept) in enumerate(zip(*candidates, strict=True)):
-        support[..., k] = _spread(matches.valid & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
+        support[..., k] = _smoothed_support(
+            matches.valid & (np.abs(grid.directions @ normal - inverse_depth) < tolerance)
+        )
         if is_swept:
             share = _density(textured & (cost[..., k] < EXPLAINED_COST)) / texture
             support[..., k] = np.maximum(support[..., k], np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
     return support
 
 
-def _spread(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
+def _smoothed_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     """1 among pixels of a mask, falling to 0 some 10° away."""
     return np.asarray(np.minimum(_density(mask) / FULL_PLANE_SUPPORT_DENSITY, 1.0))
 
@@ -192,7 +194,7 @@ def _floor_and_ceiling_bound(
 
     Floor and ceiling are the best supported level planes below and above the camera.
     """
-    bound = np.full(grid.directions.shape[:2], BEHIND_CAMERA, np.float32)
+    bound = np.full(grid.directions.shape[:2], NOT_VISIBLE_DISPARITY, np.float32)
     for side in (-1.0,) if is_sky_open else (-1.0, 1.0):
         for normal in planes:  # the best supported one first
             inverse_distance = float(np.linalg.norm(normal))

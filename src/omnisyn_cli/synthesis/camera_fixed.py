@@ -105,7 +105,7 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
         caps = [_round_cap(each.image) for each in maps]
     areas = sorted(int(cap.sum()) for cap in caps)
     has_cap = areas[0] > 0 and areas[1] < MAX_CAP_AREA_RATIO * areas[0]
-    still = _still(maps, (first, second))
+    still = _find_static_regions(maps, (first, second))
     found = [still | cap if has_cap else still for cap in caps]
     masks = [
         _on_sphere(_dilated(each, MARGIN_PIXELS), view.image.shape[:2]) if each.any() else None
@@ -239,11 +239,11 @@ def _round_cap(image: np.ndarray) -> Mask:
     return np.zeros(radius.shape, bool)
 
 
-def _still(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> Mask:
+def _find_static_regions(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> Mask:
     """What keeps its place in both maps although the ground there has moved."""
     nothing = np.zeros(maps[0].image.shape[:2], bool)
     way = views[1].pose.position - views[0].pose.position
-    repeats = [_repeated_axes(each, view.pose, way) for each, view in zip(maps, views, strict=True)]
+    repeats = [_repetition_count(each, view.pose, way) for each, view in zip(maps, views, strict=True)]
     height = _ground_height(maps, views, repeats[0])
     if height is None:
         return nothing
@@ -327,7 +327,7 @@ def _ground_pixels(own: _NadirMap, views: tuple[View, View], height: float) -> t
     return np.where(is_below, col, -MAP_SIZE), np.where(is_below, row, -MAP_SIZE)
 
 
-def _repeated_axes(one: _NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
+def _repetition_count(one: _NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
     """In how many of four directions a pattern repeats itself: it may be found in place by chance.
 
     The direction of the way of the camera counts twice: a line along it stays in place.

@@ -61,7 +61,7 @@ class PairDepth:
     other: Float32[np.ndarray, "height width 4"]
     other_from_this: Pose
 
-    def exactness(self, size: tuple[int, int]) -> Float[np.ndarray, "height width"]:
+    def parallax_weight(self, size: tuple[int, int]) -> Float[np.ndarray, "height width"]:
         """What a mean is weighted by: the square of the parallax in radians that 1/metre makes, for far things."""
         towards = self.other_from_this.inverse().position
         return np.asarray(np.maximum(towards @ towards - (pixel_directions(*size) @ towards) ** 2, 0.0))
@@ -93,7 +93,7 @@ def fuse_depth(*pair_depths: PairDepth) -> DepthEstimate:
     is_fused = [_agree(likeliest, depth.inverse_depth) for depth in depths]
     fused = list(zip(is_fused, pair_depths, depths, strict=True))
     far = reduce(np.minimum, [np.where(is_in, depth.inverse_depth, np.inf) for is_in, _, depth in fused])
-    weights = [np.where(is_in, depth.confidence * one.exactness(size), 0.0) for is_in, one, depth in fused]
+    weights = [np.where(is_in, depth.confidence * one.parallax_weight(size), 0.0) for is_in, one, depth in fused]
     total = reduce(np.add, weights)
     beyond = [weight * (depth.inverse_depth - far) for weight, depth in zip(weights, depths, strict=True)]
     inverse_depth = far + reduce(np.add, beyond) / np.where(total > 0.0, total, 1.0)
@@ -164,12 +164,12 @@ class ChainDepth:
             views = self.views[first], self.views[second]
             with self._clock("depth"):
                 return self._estimator(*views)
-        depths = self._of(first), self._of(second)
+        depths = self._fused_depth(first), self._fused_depth(second)
         needed = {view for link in self.links[index:] for view in link}
         self._known = {view: depth for view, depth in self._known.items() if view in needed}
         return depths
 
-    def _of(self, view: int) -> DepthEstimate:
+    def _fused_depth(self, view: int) -> DepthEstimate:
         if view not in self._known:
             others = [link[1] if link[0] == view else link[0] for link in self.links if view in link]
             pair_depths = [pair_depth for other in others if (pair_depth := self._pair_depth(view, other)) is not None]
@@ -182,11 +182,11 @@ class ChainDepth:
     def _pair_depth(self, view: int, other: int) -> PairDepth | None:
         if (view, other) not in self._pair_depths:
             first, second = min(view, other), max(view, other)
-            found = self._found(first, second)
+            found = self._estimate_pair_depths(first, second)
             self._pair_depths.update({key: found[key] for key in found if key[0] not in self._known})
         return self._pair_depths[view, other]
 
-    def _found(self, here: int, there: int) -> dict[tuple[int, int], PairDepth | None]:
+    def _estimate_pair_depths(self, here: int, there: int) -> dict[tuple[int, int], PairDepth | None]:
         """What a pair says of both its views; nothing where they stand at one place."""
         first, second = self.views[here], self.views[there]
         if at_same_position(first.pose, second.pose):

@@ -18,7 +18,7 @@ from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess
 from omnisyn_cli.fusion.photometry import (
     ExposureCurve,
     ExposureMatcher,
-    confirmed_curve,
+    cross_validated_curve,
     darken_to_match,
     estimate_curve,
     rough_exposure_curve,
@@ -80,7 +80,7 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
     options = MatchingOptions(size=EXPOSURE_DEPTH_SIZE, colour_weight=0.0, clipped_colour_weight=0.0)
     views = (first, second)
     crossed, *_ = render_crosswise(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
-    return darken_to_match(first, second, confirmed_curve(_common_samples(crossed)), threads)
+    return darken_to_match(first, second, cross_validated_curve(_common_samples(crossed)), threads)
 
 
 def cross_check(

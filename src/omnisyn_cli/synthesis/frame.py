@@ -27,7 +27,7 @@ FrameAllocator = Callable[[], UInt8[np.ndarray, "height width 3"]]
 MAX_SHIFT_PIXELS = 0.25
 """Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again."""
 
-MAX_SHARE_STEP = 1.0 / 512.0
+MAX_REUSE_T_STEP = 1.0 / 512.0
 """A share of the way that changes no colour by more than half of one of 256 levels."""
 
 
@@ -67,7 +67,7 @@ class FusedFrame:
     def looks_the_same_from(self, waypoint: Waypoint) -> bool:
         """Whether nothing in the frame would be seen more than a quarter of a pixel aside from there."""
         before = self.frame.waypoint
-        if abs(waypoint.t - before.t) > MAX_SHARE_STEP:
+        if abs(waypoint.t - before.t) > MAX_REUSE_T_STEP:
             return False
         angle = MAX_SHIFT_PIXELS / self.pixels_per_radian
         turned = np.linalg.norm(rotation_vector_from_rotation(before.pose.rotation.T @ waypoint.pose.rotation))

@@ -68,7 +68,7 @@ def continue_ground(views: ViewPair, depths: DepthPair) -> tuple[ViewPair, Depth
 
 def _continued(view: View, other: View, depth: DepthEstimate, other_depth: DepthEstimate) -> tuple[View, DepthEstimate]:
     """One of both views."""
-    gap = _gap(view)
+    gap = _nadir_hole(view)
     if gap is None or view.mask is None:
         return view, depth
     height = _height(view, depth, gap)
@@ -79,14 +79,14 @@ def _continued(view: View, other: View, depth: DepthEstimate, other_depth: Depth
     directions = pixel_directions(*gap.shape)
     seen, colour = _seen_by_other(directions[rows, cols], view, other, other_depth, height)
     ring = (cv2.dilate(gap.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0) & view.mask
-    gain = _gain(image[ring], directions[ring], view, other, other_depth, height)
+    gain = _colour_gain(image[ring], directions[ring], view, other, other_depth, height)
     if gain is None:
         seen[:] = False
     else:
         image[rows[seen], cols[seen]] = np.clip(colour[seen] * gain, 0.0, 1.0)
     missing = np.zeros_like(gap)
     missing[rows[~seen], cols[~seen]] = True
-    filled = gap if not missing.any() or _patched(image, missing, view, depth, height) else gap & ~missing
+    filled = gap if not missing.any() or _fill_with_patch(image, missing, view, depth, height) else gap & ~missing
     mask = view.mask | filled
     rho = _plane(pixel_directions(*depth.inverse_depth.shape), view, height)
     here = sample_nearest(filled.astype(np.float32), pixel_directions(*rho.shape)) > 0.5
@@ -98,7 +98,7 @@ def _continued(view: View, other: View, depth: DepthEstimate, other_depth: Depth
     return replace(view, image=image, image_uint8=None, mask=None if mask.all() else mask), known
 
 
-def _gap(view: View) -> Bool[np.ndarray, "height width"] | None:
+def _nadir_hole(view: View) -> Bool[np.ndarray, "height width"] | None:
     """Masked pixels that are to be ground; None if there are none."""
     if view.mask is None or view.mask.all():
         return None
@@ -155,7 +155,7 @@ def _seen_by_other(
     return np.asarray(seen), np.asarray(sample_bilinear(np.asarray(other.image, np.float32), to_ground))
 
 
-def _gain(
+def _colour_gain(
     own: Float[np.ndarray, "pixels 3"], directions: Float[np.ndarray, "pixels 3"], view: View, other: View,
     other_depth: DepthEstimate, height: float,
 ) -> Float[np.ndarray, " 3"] | None:  # fmt: skip
@@ -172,7 +172,7 @@ def _gain(
     return gain if (difference < MAX_RING_DIFFERENCE).mean() >= MIN_RING_SHARE else None
 
 
-def _patched(
+def _fill_with_patch(
     image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View,
     depth: DepthEstimate, height: float,
 ) -> bool:  # fmt: skip

@@ -54,7 +54,7 @@ UNSEEN_RELIABILITY = 0.6
 MIN_SAMPLE_WEIGHT = 1e-4
 """Of depth that nothing confirms: it counts only where nothing else is known."""
 
-NEAREST_SHARE = 0.3
+NEAREST_SURFACE_BASELINES = 0.3
 """Distance from the middle, in baselines, at which the surface is nearest: the cameras stand at 0.5."""
 
 SOFT_CONFIDENCE = 0.15
@@ -136,7 +136,7 @@ def _common_surface(
         weight = resized_to(known, SAMPLE_GRID, cv2.INTER_AREA) ** 2 + MIN_SAMPLE_WEIGHT
         rays = pixel_directions(*SAMPLE_GRID) @ view.pose.rotation.T
         points = rays / np.maximum(inverse_depth, 1e-3 / baseline)[..., None] + (view.pose.position - middle)
-        distance = np.maximum(np.linalg.norm(points, axis=-1), NEAREST_SHARE * baseline)
+        distance = np.maximum(np.linalg.norm(points, axis=-1), NEAREST_SURFACE_BASELINES * baseline)
         row, col = (np.round(index).astype(np.intp) for index in direction_to_pixel(normalize(points), SURFACE_GRID))
         cells = np.clip(row, 0, SURFACE_GRID[0] - 1), col % SURFACE_GRID[1]
         weight = weight * solid_angles(*SAMPLE_GRID)

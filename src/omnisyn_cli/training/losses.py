@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import row_weights
 from omnisyn_cli.networks.completion import CompletionPrediction
-from omnisyn_cli.networks.interface import DepthAnswer
+from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
 
 LOW_HEAD_WEIGHT = 0.5
@@ -168,7 +168,7 @@ def _neighbour_step_errors(
         yield error[..., kept, :], true_step.abs()[..., kept, :] >= MIN_EDGE_STEP, both_known[..., kept, :]
 
 
-def _confidence_loss(prediction: DepthAnswer, target: Tensor) -> Tensor:
+def _confidence_loss(prediction: DepthPrediction, target: Tensor) -> Tensor:
     """Log-loss of the confidence, pixel by pixel."""
     correct = _is_correct(prediction.inverse_depth(), target.square())
     return functional.binary_cross_entropy_with_logits(prediction.confidence_logit, correct, reduction="none")
@@ -183,7 +183,7 @@ def _is_correct(inverse_depth: Tensor, target: Tensor, factor: float = MAX_CORRE
 
 @torch.no_grad()
 def depth_scores(
-    prediction: DepthAnswer, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
+    prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
 ) -> dict[str, float]:
     """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m.
 
@@ -217,7 +217,7 @@ def depth_scores(
 
 @torch.no_grad()
 def completion_scores(
-    prediction: DepthAnswer,
+    prediction: DepthPrediction,
     filled: Float[Tensor, "batch 1 height width"],
     target: Float[Tensor, "batch 1 height width"],
     reliable: Float[Tensor, "batch 1 height width"],

@@ -20,7 +20,7 @@ from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
-from omnisyn_cli.networks.interface import DepthAnswer
+from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
 from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, discriminator_loss, feature_loss
 from omnisyn_cli.training.data import TrainingScene, load_scene
@@ -126,7 +126,7 @@ DEPTH_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
-class SynSinPrediction(DepthAnswer):
+class SynSinPrediction(DepthPrediction):
     """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure.
 
     Attributes:

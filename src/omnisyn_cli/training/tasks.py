@@ -22,7 +22,7 @@ from omnisyn_cli.networks.guided_depth import (
     GuidedDepthNetwork,
     GuidedDepthPrediction,
 )
-from omnisyn_cli.networks.interface import DepthAnswer
+from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
@@ -40,7 +40,7 @@ __all__ = ["TASKS", "kinds_for", "task_of"]
 NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 
-def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
+def _depth_pictures(answer: DepthPrediction, batch: Batch) -> dict[str, np.ndarray]:
     found = answer.inverse_depth().sqrt()
     return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.sqrt_inv_depth[0, 0])))
 

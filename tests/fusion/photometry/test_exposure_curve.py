@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from omnisyn_cli.fusion.photometry.exposure_curve import (
     KNOTS,
     ExposureCurve,
-    confirmed_curve,
+    cross_validated_curve,
     estimate_curve,
     estimate_gain,
     linear_to_srgb,
@@ -86,12 +86,12 @@ def test_a_curve_that_fits_samples_of_different_places_is_not_confirmed() -> Non
     first, weight = colours(most=0.5), np.ones(COUNT)
     second = exposed(colours(1, most=0.5), 2.0)
     assert not estimate_curve(first, second, weight).is_identity
-    assert confirmed_curve([(first, second, weight)] * 2).is_identity
+    assert cross_validated_curve([(first, second, weight)] * 2).is_identity
     first = colours()
     true = (first, in_eight_bits(exposed(first, 0.5)), weight)
-    np.testing.assert_allclose(confirmed_curve([true, true]).gain[:, 3], 0.5, atol=0.05)
-    assert confirmed_curve([true, (first, first, weight)]).is_identity
-    assert confirmed_curve([tuple(x[:0] for x in true)] * 2).is_identity
+    np.testing.assert_allclose(cross_validated_curve([true, true]).gain[:, 3], 0.5, atol=0.05)
+    assert cross_validated_curve([true, (first, first, weight)]).is_identity
+    assert cross_validated_curve([tuple(x[:0] for x in true)] * 2).is_identity
 
 
 def test_without_samples_or_weight_nothing_changes() -> None:

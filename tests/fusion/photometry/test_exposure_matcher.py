@@ -38,7 +38,7 @@ def test_colours_are_exposed_wherever_they_are_asked_for_and_the_rendering_is_le
     first.colour_rows(7, 12, out)
     np.testing.assert_array_equal(out, first.colour[7:12])
     rows, cols = np.array([0, 3, 31]), np.array([1, 2, 60])
-    np.testing.assert_array_equal(first.colours_at_crossings(rows, cols), first.colour[np.ix_(rows, cols)])
+    np.testing.assert_array_equal(first.subsampled_colours(rows, cols), first.colour[np.ix_(rows, cols)])
     np.testing.assert_array_equal(plain.colour[..., :3], image)
 
 

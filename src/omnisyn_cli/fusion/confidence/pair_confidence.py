@@ -41,7 +41,7 @@ DOUBLING_DB, MAX_GOOD_DOUBLING = 4.0, 0.1
 """Decibels that the score falls by where everything is doubled, beyond a share that good pairs have as well. Measured
 on generated pairs, WS-PSNR falls by 2 dB; a contour that is seen twice disturbs more than that says."""
 
-WEAKNESS_CELLS = (12, 24)
+WORST_REGION_GRID = (12, 24)
 """Rows and columns in which the weakest place is looked for: cells of 15 degrees, three by three of them at a time."""
 
 HOLE_ERROR = 0.05
@@ -173,11 +173,11 @@ def _weakest_direction(one: Layer, other: Layer) -> tuple[float, float, float]:
     both, none = _seen(one) & _seen(other), ~(_seen(one) | _seen(other))
     error = np.where(both, _squared_difference(one, other), HOLE_ERROR * none)
     area = solid_angles(*error.shape)
-    rows, cols = WEAKNESS_CELLS
+    rows, cols = WORST_REGION_GRID
     cells = [cv2.resize(values, (cols, rows), interpolation=cv2.INTER_AREA) for values in (error * area, area)]
     sums = [cv2.blur(np.pad(values, ((0, 0), (1, 1)), mode="wrap"), (3, 3))[:, 1:-1] for values in cells]
-    row, col = np.unravel_index(np.argmax(sums[0] / sums[1]), WEAKNESS_CELLS)
-    x, y, z = pixel_to_direction(np.asarray(float(row)), np.asarray(float(col)), WEAKNESS_CELLS).tolist()
+    row, col = np.unravel_index(np.argmax(sums[0] / sums[1]), WORST_REGION_GRID)
+    x, y, z = pixel_to_direction(np.asarray(float(row)), np.asarray(float(col)), WORST_REGION_GRID).tolist()
     return x, y, z
 
 

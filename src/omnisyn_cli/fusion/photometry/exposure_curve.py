@@ -147,7 +147,7 @@ def estimate_curve(
     return ExposureCurve(_limit_slope(np.stack([fit.gain for fit in fits])))
 
 
-def confirmed_curve(
+def cross_validated_curve(
     samples: Sequence[tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"], np.ndarray]],
 ) -> ExposureCurve:
     """The curve of all samples; zero unless the curve of each half holds in the other half.

@@ -23,7 +23,7 @@ MAX_CLIPPED_WEIGHT_LOSS = 0.95
 """Share of its weight that a clipped colour may lose; the rest fills where only it is seen. Set by hand."""
 
 
-def _exposure_change(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:
+def _exposure_function(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:
     return lambda colour: expose_rows(colour, table, loss, CLIPPING_SRGB)
 
 
@@ -38,7 +38,7 @@ class ExposureMatcher:
     """
 
     curve: ExposureCurve
-    change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _exposure_change
+    change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _exposure_function
 
     def __call__(self, first: Layer, second: Layer, t: float) -> tuple[Layer, Layer]:
         """Both layers as they look at a share ``t`` of the way.
@@ -62,13 +62,13 @@ class ExposureMatcher:
             layer.colour_rows(begin, end, out)
             change(out)
 
-        def colours_at_crossings(rows: np.ndarray, cols: np.ndarray) -> Array:
-            colour = layer.colours_at_crossings(rows, cols)
+        def subsampled_colours(rows: np.ndarray, cols: np.ndarray) -> Array:
+            colour = layer.subsampled_colours(rows, cols)
             change(colour)
             return colour
 
         return replace(
-            layer, colour_rows=colour_rows, colours_at_crossings=colours_at_crossings, cached_colour=None,
+            layer, colour_rows=colour_rows, subsampled_colours=subsampled_colours, cached_colour=None,
             edge_samples=None if layer.edge_samples is None else partial(_exposed_samples, layer.edge_samples, change),
             source_sampler=None if layer.source_sampler is None else _exposed_sampler(layer.source_sampler, change),
         )  # fmt: skip

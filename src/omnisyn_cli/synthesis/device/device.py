@@ -26,7 +26,7 @@ def open_device(name: str) -> torch.device:
 
 
 @contextmanager
-def memory_of_device() -> Iterator[None]:
+def report_out_of_memory() -> Iterator[None]:
     """Say in a line that the device has no memory left for what happens inside.
 
     Raises OmnisynError: there is none left.

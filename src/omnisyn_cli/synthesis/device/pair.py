@@ -28,7 +28,7 @@ from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
 from omnisyn_cli.render.shade import make_confidence_map
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.synthesis.device.device import memory_of_device, open_device
+from omnisyn_cli.synthesis.device.device import open_device, report_out_of_memory
 from omnisyn_cli.synthesis.device.pictures import change_colours, fill_holes, samples_of
 from omnisyn_cli.synthesis.device.quads import Quads, quads_of
 from omnisyn_cli.synthesis.device.raster import GpuRasterizer
@@ -76,7 +76,7 @@ class GpuFrames:
         """
         mesh = build_mesh(depth.inverse_depth, cut, mask_of_vertices(mask, depth.inverse_depth.shape), depth.confidence)
         texture = make_texture(image, mask)
-        with memory_of_device():
+        with report_out_of_memory():
             surface_confidence = confidence_on(make_confidence_map(mesh, texture), self.device)
             return GpuSurface(self, quads_of(mesh, self.device), surface_confidence, texture_on(texture, self.device))
 
@@ -130,11 +130,11 @@ class GpuSurface:
         def colour_rows(begin: int, end: int, out: Tensor) -> None:
             out[:] = shaded(rho[begin:end], self.frames.rays(slice(begin, end)))
 
-        def colours_at_crossings(rows: np.ndarray, cols: np.ndarray) -> Tensor:
+        def subsampled_colours(rows: np.ndarray, cols: np.ndarray) -> Tensor:
             row, col = (torch.from_numpy(index).to(rho.device) for index in (rows, cols))
             return shaded(rho[row][:, col], self.frames.rays(row, col))
 
-        return Layer(rho, colour_rows, colours_at_crossings, target_from_source)
+        return Layer(rho, colour_rows, subsampled_colours, target_from_source)
 
     def with_cached_colour(self, seen: Layer) -> Layer:
         """A rendering on the device with all of its colours at hand."""
@@ -169,7 +169,7 @@ class GpuPair:
         """The greatest inverse depth in the last frame, 1/metre; infinite before there is one."""
         return math.inf if self._nearest is None else float(self._nearest)
 
-    @memory_of_device()
+    @report_out_of_memory()
     def frame(
         self, target_from_first: Pose, target_from_second: Pose, t: float,
         out: UInt8[np.ndarray, "height width 3"] | Float32[np.ndarray, "height width 3"],
@@ -206,13 +206,15 @@ class GpuPair:
         for rows in frames.bands():
             colours = torch.empty((2, rows.stop - rows.start, frames.size[1], 4), device=frames.device)
             views.shade_rows(rows.start, rows.stop, colours)
-            one, other = (_shown(view, rows, colour) for view, colour in zip((first, second), colours, strict=True))
+            one, other = (
+                _layer_arrays(view, rows, colour) for view, colour in zip((first, second), colours, strict=True)
+            )
             weights = view_weights(one, other, frames.rays(rows), rule)
             image[rows], weight[rows] = blend_layers(one, other, weights)
         fill_holes(image, weight)
         return image
 
 
-def _shown(view: Layer, rows: slice, colour: Float32[Tensor, "rows width 4"]) -> LayerArrays:
+def _layer_arrays(view: Layer, rows: slice, colour: Float32[Tensor, "rows width 4"]) -> LayerArrays:
     offset = torch.as_tensor(view.target_from_source.position).to(colour)
     return LayerArrays(colour[..., :3], colour[..., 3], view.inverse_depth[rows], offset)

@@ -38,7 +38,7 @@ BOX_MARGIN_PIXELS = 1e-3
 
 
 @dataclass(frozen=True)
-class _Plan:
+class _QuadSetup:
     """Quads as their rays see them.
 
     Attributes:
@@ -84,11 +84,11 @@ class GpuRasterizer:
         for begin in range(0, len(quads.corner), QUADS_PER_STEP):
             corner = quads.corner[begin : begin + QUADS_PER_STEP]
             corners = points[corner]
-            plan = _planned(corners, quads.inverse_depth[corner])
+            plan = _set_up_quads(corners, quads.inverse_depth[corner])
             self._draw(plan, self._boxes(corners), nearest)
         return nearest.reshape(self.size)
 
-    def _draw(self, plan: _Plan, boxes: _Boxes, nearest: Tensor) -> None:
+    def _draw(self, plan: _QuadSetup, boxes: _Boxes, nearest: Tensor) -> None:
         """Write the greater of ``nearest`` and the inverse depths of these quads."""
         sin_p, cos_p, sin_a, cos_a = self._tables
         triangles = plan.triangle.reshape(-1, 11)
@@ -156,7 +156,7 @@ class GpuRasterizer:
         return first, last, is_wide
 
 
-def _planned(corners: Float[Tensor, "quads 4 3"], rho: Float[Tensor, "quads 4"]) -> _Plan:
+def _set_up_quads(corners: Float[Tensor, "quads 4 3"], rho: Float[Tensor, "quads 4"]) -> _QuadSetup:
     """Edges and planes, see :mod:`omnisyn_cli.render.quad_kernels`."""
     points = ((*corners[:, k].unbind(-1), rho[:, k]) for k in range(4))
     cut, left, bottom, right, top, det_a, plane_a, det_b, plane_b = split_quad(*points)  # type: ignore[no-untyped-call]
@@ -165,7 +165,7 @@ def _planned(corners: Float[Tensor, "quads 4 3"], rho: Float[Tensor, "quads 4"])
     triangle = torch.stack([
         _triangle(left, bottom, plane_a, det_a, has_a), _triangle(right, top, plane_b, det_b, has_b)
     ], dim=1)  # fmt: skip
-    return _Plan(torch.stack([*cut, shift], dim=1), triangle, has_a | has_b)
+    return _QuadSetup(torch.stack([*cut, shift], dim=1), triangle, has_a | has_b)
 
 
 Vector = tuple[Tensor, Tensor, Tensor]

@@ -166,10 +166,10 @@ def _bilinear(texture: GpuTexture, level: Tensor, row: Tensor, col: Tensor) -> F
     i, j = row.to(torch.int64), col.to(torch.int64)
     at = texture.begin[level] + i * stride + j
     down, across = (row - i)[..., None], (col - j)[..., None]
-    left, right = (_between(texture.texels[at + k], texture.texels[at + stride + k], down) for k in (0, 1))
-    return _between(left, right, across)
+    left, right = (_lerp(texture.texels[at + k], texture.texels[at + stride + k], down) for k in (0, 1))
+    return _lerp(left, right, across)
 
 
-def _between(first: Tensor, second: Tensor, share: Tensor) -> Tensor:
+def _lerp(first: Tensor, second: Tensor, share: Tensor) -> Tensor:
     first = first.to(torch.float32)
     return first + (second.to(torch.float32) - first) * share
