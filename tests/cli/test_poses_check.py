@@ -16,6 +16,7 @@ from omnisyn_cli.poses.registration.least_squares import direction_error, relati
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 NAMES = ("a.png", "b.png", "c.png")
+STREET = Path(__file__).parents[2] / "examples" / "street"
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,21 @@ def test_right_poses_fit_pair_by_pair(tour: Path, omnisyn: Omnisyn) -> None:
     result = omnisyn.quiet("poses", "check", *images(tour, 3), "--poses", tour / "poses.json", "--threads", 2)
     assert "a.png and b.png: the poses fit\n" in result.out
     assert "b.png and c.png: the poses fit\n" in result.out
+
+
+def test_the_height_of_the_camera_follows_from_the_distance_given(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    """The example stands 2.42 m above its street; in kilometres that is too little, and wrong poses say nothing."""
+    for name, scale, words in (("metres", 1.0, "2.42 m above the floor\n"), ("kilometres", 1e-3, "is unusual")):
+        file = changed_file(
+            STREET, tmp_path / f"{name}.json", lambda pose, scale=scale: Pose(pose.rotation, scale * pose.position)
+        )
+        pictures = STREET / "first.jpg", STREET / "second.jpg"
+        assert words in omnisyn.made("poses", "check", *pictures, "--poses", file).out
+        (pair,) = json.loads(omnisyn.made("poses", "check", *pictures, "--poses", file, "--json").out)
+        assert pair["camera_height"] == pytest.approx(2.418 * scale, rel=0.01)
+    inverted = changed_file(STREET, tmp_path / "inverted.json", lambda pose: pose.inverse())
+    (pair,) = json.loads(omnisyn.ended(1, "poses", "check", *pictures, "--poses", inverted, "--json").out)
+    assert pair["camera_height"] is None
 
 
 def test_inverted_poses_are_named_with_figures_and_a_remedy(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:

@@ -191,19 +191,27 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
 def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: bool, **options: Any) -> None:
     """Check whether poses fit the pictures, and name the mistake if not.
 
-    The command matches points of neighbouring panoramas and compares them with the poses. It cannot check distances.
+    The command matches points of neighbouring panoramas and compares them with the poses. It cannot check distances,
+    but it says how high the cameras stand by the distances given.
     """
     from omnisyn_cli.poses.estimation import check_poses
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.poses.registration.diagnosis_text import diagnosis_sentences, diagnosis_values
+    from omnisyn_cli.poses.registration.diagnosis_text import (
+        camera_height_sentence,
+        diagnosis_sentences,
+        diagnosis_values,
+    )
 
     does_fit, values = True, []
     pose_file = read_poses(poses, allow_outside=allow_outside)
     for pair in check_poses(images, pose_file, _picture_options(**options)):
         does_fit &= pair.diagnosis.verdict not in ("mistake", "contradiction")
-        values.append({"first": str(pair.first), "second": str(pair.second), **diagnosis_values(pair.diagnosis)})
+        height = pair.camera_height()
+        named = {"first": str(pair.first), "second": str(pair.second)}
+        values.append({**named, **diagnosis_values(pair.diagnosis), "camera_height": height})
         if not as_json:
             verdict, *details = diagnosis_sentences(pair.diagnosis)
+            details += [] if height is None else [camera_height_sentence(height)]
             say(f"{pair.first.name} and {pair.second.name}: {verdict}")
             for detail in details:
                 say(f"  {detail}")

@@ -23,10 +23,10 @@ from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
-from omnisyn_cli.poses.floor import floor_distance
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_distance
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
-from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
 from omnisyn_cli.poses.registration.gravity import find_vertical
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import (
@@ -41,6 +41,7 @@ from omnisyn_cli.poses.registration.pose_graph import (
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 from omnisyn_cli.poses.registration.scan import Scan, forget_tables, likeness, register_pair, scan_panorama
 from omnisyn_cli.poses.tour import links_between
+from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.types import View
 
 __all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
@@ -82,6 +83,7 @@ class PairDiagnosis:
         diagnosis: what the matches say.
         matches: of both.
         fits: ``(n,)`` the matches that agree with the poses given.
+        views: both, reduced, with the poses given.
     """
 
     first: Path
@@ -89,6 +91,11 @@ class PairDiagnosis:
     diagnosis: Diagnosis
     matches: Matches
     fits: Bool[np.ndarray, " n"]
+    views: tuple[View, View]
+
+    def camera_height(self) -> float | None:
+        """Metres of the first camera above the floor; None where poses do not fit, or no floor is found."""
+        return floor_distance(*self.views) if self.diagnosis.verdict in ("fits", "close") else None
 
 
 @dataclass(frozen=True)
@@ -129,10 +136,12 @@ def check_poses(
     _check_images(images)
     check_names_tell_apart(images, pose_file)
     entries = [pose_file.of(image) for image in images]
-    pairs = _matched_pairs(images, [entry.mask for entry in entries], options or PictureOptions())
-    for (first, second), (a, b), matches in zip(pairwise(images), pairwise(entries), pairs, strict=True):
+    views = _views_with_features(images, entries, options or PictureOptions())
+    for (first, second), ((a, seen_by_a), (b, seen_by_b)) in zip(pairwise(images), pairwise(views), strict=True):
+        matches = match_features(seen_by_a, seen_by_b)
         fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
-        yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits)
+        yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits, (a, b))
+    forget_tables()
 
 
 def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None) -> FoundPoses:
@@ -331,15 +340,16 @@ def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:
     return list(baselines) * (pairs if len(baselines) == 1 else 1)
 
 
-def _matched_pairs(images: Sequence[Path], masks: Sequence[Path | None], options: PictureOptions) -> Iterator[Matches]:
-    given = _given_masks(images, options)
-    features = (
-        find_features(*_usable_picture(image, both, options), options.threads)
-        for image, *both in zip(images, masks, given, strict=True)
-    )
-    for first, second in pairwise(features):
-        yield match_features(first, second)
-    forget_tables()
+def _views_with_features(
+    images: Sequence[Path], entries: Sequence[PosedPanorama], options: PictureOptions
+) -> Iterator[tuple[View, Features]]:
+    """The panoramas one after the other: reduced, with their poses; and the features of the whole pictures."""
+    for image, entry, given in zip(images, entries, _given_masks(images, options), strict=True):
+        picture, usable = _usable_picture(image, (entry.mask, given), options)
+        yield (
+            View(resize_area(picture, FLOOR_SIZE), entry.pose, usable),
+            find_features(picture, usable, options.threads),
+        )
 
 
 def _given_masks(images: Sequence[Path], options: PictureOptions) -> Sequence[Path | None]:

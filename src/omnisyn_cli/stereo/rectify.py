@@ -26,7 +26,7 @@ from omnisyn_cli.geometry.sweep import (
 )
 from omnisyn_cli.types import View
 
-__all__ = ["rectify"]
+__all__ = ["rectify", "resize_area"]
 
 HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""

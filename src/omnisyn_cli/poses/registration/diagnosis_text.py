@@ -8,7 +8,10 @@ import numpy as np
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, Explanation, Fit, Verdict
 from omnisyn_cli.poses.registration.robust import Estimate
 
-__all__ = ["diagnosis_sentences", "diagnosis_values"]
+__all__ = ["camera_height_sentence", "diagnosis_sentences", "diagnosis_values"]
+
+PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)
+"""Metres above the floor: from a tripod on the ground to the roof of a car."""
 
 MAX_ALTERNATIVES = 4
 """Further explanations that are printed; ``--json`` lists all."""
@@ -39,6 +42,13 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
     sentences.append(measured)
     sentences.extend(_advice(diagnosis))
     return sentences
+
+
+def camera_height_sentence(height: float) -> str:
+    """What a height in metres above the floor says about the distance given."""
+    low, high = PLAUSIBLE_CAMERA_HEIGHTS
+    doubt = "" if low <= height <= high else ", which is unusual; is the distance in metres?"
+    return f"by the distance given, the first camera is {height:.2f} m above the floor{doubt}"
 
 
 def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
