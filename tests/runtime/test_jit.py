@@ -1,4 +1,4 @@
-"""Who compiles says so, once; who finds machine code does not."""
+"""Who compiles says so, once; who finds machine code does not. New arrays in kernels are numpy's."""
 
 import os
 import subprocess
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.compute import jit, kernel_files
+from omnisyn_cli.compute.arrays import empty, zeros
 from omnisyn_cli.compute.jit import (
     announce_compiling,
     are_kernels_kept,
@@ -158,3 +159,19 @@ def test_nobody_waits_for_ever_and_a_kernel_that_cannot_be_compiled_holds_nobody
     with pytest.raises(numba.TypingError):
         patient(None)
     assert not list((tmp_path / "kept").rglob("*.lock"))
+
+
+def test_new_arrays_in_kernels_are_numpys() -> None:
+    @kernel(cache=False)
+    def new(count: int, like: np.ndarray) -> tuple[np.ndarray, ...]:
+        return empty(count, np.bool_), zeros((count, 3), like.dtype), zeros((2, count, 2), np.float64)
+
+    found = new(5, np.ones(1, np.uint16))
+    for array, expected in zip(
+        found, (np.empty(5, bool), np.zeros((5, 3), np.uint16), np.zeros((2, 5, 2))), strict=True
+    ):
+        assert (array.shape, array.strides, array.dtype) == (expected.shape, expected.strides, expected.dtype)
+    assert not found[1].any()
+    assert not found[2].any()
+    with pytest.raises(ValueError, match="negative"):
+        new(-1, np.ones(1))

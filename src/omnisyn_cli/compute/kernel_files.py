@@ -100,6 +100,7 @@ class KernelFiles(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for types; None, and the turn to make it, where there is none yet."""
+        target_context.typing_context.refresh()  # before the target's, or containers come before arrays in it
         found = super().load_overload(sig, target_context)
         if found is None:
             self.turn.take()

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendRule
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, DirectionTables, Layer
@@ -79,7 +80,7 @@ def quantize(value, quantization):
 
 
 @inlined(fastmath=True)
-def _proximity(rho, x, y, z, offset):
+def _inverse_distance_weight(rho, x, y, z, offset):
     """(Distance from the target / distance from the source) of a point, cubed.
 
     With the ray r, the point is ``r / ρ`` and its distance from the source ``|r − ρ·offset| / ρ``: ρ cancels, so points
@@ -123,8 +124,8 @@ def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, 
         rule: :class:`KernelRule`.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
-    a = weight_a * _proximity(rho_a, x, y, z, offset_a)
-    b = weight_b * _proximity(rho_b, x, y, z, offset_b)
+    a = weight_a * _inverse_distance_weight(rho_a, x, y, z, offset_a)
+    b = weight_b * _inverse_distance_weight(rho_b, x, y, z, offset_b)
     a = a if weight_a > MIN_VISIBLE_WEIGHT else zero
     b = b if weight_b > MIN_VISIBLE_WEIGHT else zero
     gap = (rho_a - rho_b) / (max(rho_a, rho_b) * rule.disagreement + np.float32(1e-9))
@@ -152,7 +153,7 @@ def blend_rows(first, second, rule, tables, quantization, out, seen, coarse_colo
         coarse_weight: of these, written; large where the surface is far.
     """
     rows, width = seen.shape
-    upper, lower = np.empty(4 * RUN_PIXELS, np.float32), np.empty(4 * RUN_PIXELS, np.float32)
+    upper, lower = empty(4 * RUN_PIXELS, np.float32), empty(4 * RUN_PIXELS, np.float32)
     first_flat, second_flat, out_flat = first.colour.reshape(-1), second.colour.reshape(-1), out.reshape(-1)
     coarse_flat, half_width = coarse_colour.reshape(-1), coarse_weight.shape[1]
     for pair in range(len(coarse_weight)):
@@ -192,7 +193,7 @@ def blend_edge_pixels(first, second, rule, tables, edge_pixels, share, quantizat
         quantization: :class:`Quantization`.
         out: ``(height, width, 3)``, changed.
     """
-    upper, lower = np.empty(4 * RUN_PIXELS, np.float32), np.empty(4 * RUN_PIXELS, np.float32)
+    upper, lower = empty(4 * RUN_PIXELS, np.float32), empty(4 * RUN_PIXELS, np.float32)
     for row in range(len(edge_pixels.tile_begins)):
         begin, end = 2 * edge_pixels.tile_begins[row, 0], 2 * edge_pixels.tile_begins[row, -1]
         for left in range(begin, end, RUN_PIXELS):

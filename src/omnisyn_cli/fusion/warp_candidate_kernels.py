@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.fusion.blend_kernels import coarse_position, quantize
 
@@ -30,7 +31,7 @@ class CandidateArrays(NamedTuple):
 
 
 @inlined(fastmath=True)
-def _columns_between(j, width, cols):
+def _pixels_between_columns(j, width, cols):
     """The pixels whose centres lie between those of coarse columns ``j`` and ``j + 1``: first, and after the last."""
     begin = math.ceil((j + 0.5) * width / cols - 0.5)
     return max(0, begin), min(width, math.ceil((j + 1.5) * width / cols - 0.5))
@@ -62,7 +63,7 @@ def hypothesis_rows(hypothesis, weight, top, height, points):
     for k in range(len(points)):
         i = (top + k) * rows // height
         for j in range(-1, weight.shape[1]):
-            begin, end = _columns_between(j, width, weight.shape[1])
+            begin, end = _pixels_between_columns(j, width, weight.shape[1])
             left, right = _interpolate_down_columns(weight, top + k, j, height)
             if max(left, right) > zero:
                 is_any = True
@@ -91,7 +92,7 @@ def accumulate_candidate(weight, colour, top, height, total):
             left, right = _interpolate_down_columns(weight, top + k, j, height)
             if max(left, right) <= np.float32(0.0):
                 continue
-            begin, end = _columns_between(j, width, cols)
+            begin, end = _pixels_between_columns(j, width, cols)
             for col in range(begin, end):
                 across = (np.float32(col) + half) * step - half - np.float32(j)
                 own = colour[k, col, 3] * (left + across * (right - left))
@@ -168,7 +169,7 @@ def average_candidates(layer_colours, layer_points, arrays, channels, begin, end
         end: the row after the last.
     """
     scale = layer_points.shape[1] // channels.shape[1]
-    share, values = np.float32(1.0 / (scale * scale)), np.empty(len(channels), np.float32)
+    share, values = np.float32(1.0 / (scale * scale)), empty(len(channels), np.float32)
     for i in range(begin, end):
         for j in range(channels.shape[2]):
             values[:] = np.float32(0.0)

@@ -12,6 +12,7 @@ figure E-1 (type 0).
 import numpy as np
 from jaxtyping import UInt8
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
 
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
@@ -74,7 +75,7 @@ class PlanarFrames:
 def _convert_rows(rgb, luma, blue, red, begin, end):
     """Rows ``begin`` to ``end`` of the chroma planes and the two rows of luma for each."""
     width = luma.shape[1]
-    sums, flat = np.empty(3 * STRIDE, np.float32), rgb.reshape(-1)
+    sums, flat = empty(3 * STRIDE, np.float32), rgb.reshape(-1)
     for row in range(begin, end):
         upper, lower = 6 * row * width, (6 * row + 3) * width
         for k in range(3):  # the column before the first is the last one

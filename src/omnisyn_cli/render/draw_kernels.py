@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_subkernel, inlined, inlined_contracting, subkernel
 from omnisyn_cli.render.box_kernels import (
     COL,
@@ -265,7 +266,7 @@ def _find_spans(block, k, rows, first, count, middle, half, spans):
 @subkernel()
 def _draw_spans(block, k, number, box, target, face):
     """A box at most as wide as the image, row by row; columns outside of the image wrap."""
-    width, spans = target.width, np.empty((4, SPAN_ROWS), np.float32)
+    width, spans = target.width, empty((4, SPAN_ROWS), np.float32)
     radians = np.float32(2.0 * math.pi / width)
     centre = np.float32(0.5 * (box.first_col + box.last_col))
     middle, half = (centre + np.float32(0.5)) * radians - np.float32(math.pi), radians * (centre - box.first_col)

@@ -8,6 +8,7 @@ in a box.
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.render.box_kernels import (
     FIRST_COL,
@@ -42,7 +43,7 @@ def rasterize_edge_pixels(quads, boxes, pose, target, edge_pixels, out):
         out: ``inverse_depth`` of the edge pixels, flat, changed.
     """
     width = target.width // 2
-    block, found = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32), np.empty((3 * BLOCK, 5), np.int64)
+    block, found = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32), empty((3 * BLOCK, 5), np.int64)
     for k in range(len(boxes)):
         # The boxes are those of pixel centres; samples lie up to a quarter of a pixel beside them.
         box = Box(boxes[k, 0] - 1, boxes[k, 1] + 1, boxes[k, 2] - 1, boxes[k, 3] + 1)

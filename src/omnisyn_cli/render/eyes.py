@@ -13,6 +13,7 @@ import math
 import numpy as np
 from jaxtyping import Float32, Shaped
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.compute.threads import run_ranges
 
@@ -70,7 +71,7 @@ def _shift_rows(image, shift, sign, rounding, peak, out, begin, end):
         end: the row after the last.
     """
     width = image.shape[1]
-    source, nearest = np.empty(width, np.float32), np.empty(width, np.float32)
+    source, nearest = empty(width, np.float32), empty(width, np.float32)
     for row in range(begin, end):
         nearest[:] = np.float32(-1.0)
         for col in range(width):

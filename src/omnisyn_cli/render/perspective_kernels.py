@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.render.box_kernels import (
     BOX_MARGIN_PIXELS,
@@ -88,7 +89,7 @@ def _find_boxes(block, quads, view, height, width):
 @kernel()
 def find_rows_of_blocks(quads, pose, target, view, rows, begin, end):
     """Write the first and the last row that blocks ``begin`` to ``end`` can touch; the last is smaller if none."""
-    block = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
+    block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     for k in range(begin, end):
         placed = place_quads(quads, k, pose, target.scale, block)
         _find_boxes(block, placed, view, target.height, target.width)
@@ -116,7 +117,7 @@ def rasterize_perspective(quads, rows, pose, target, view, face, begin, end):
     target.inverse_depth[begin * width : end * width] = -1.0
     if face is not None:
         face[begin * width : end * width] = NO_FACE
-    block = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
+    block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     for k in range(len(rows)):
         if rows[k, 0] < end and rows[k, 1] >= begin and rows[k, 1] >= rows[k, 0]:
             placed = place_quads(quads, k, pose, target.scale, block)

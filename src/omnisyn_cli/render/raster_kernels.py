@@ -7,6 +7,7 @@ the target's frame and projected, boxes are found, edges and planes are set up, 
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_subkernel, inlined, kernel
 from omnisyn_cli.render.box_kernels import (
     FIRST_COL,
@@ -30,7 +31,7 @@ NO_FACE = -1
 @kernel()
 def find_block_bounds(quads, pose, target, boxes, begin, end):
     """Write first and last target row, first and last column that blocks ``begin`` to ``end`` can touch."""
-    block = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
+    block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     for k in range(begin, end):
         placed = place_quads(quads, k, pose, target.scale, block)
         find_quad_boxes(block, placed, target.rows[0], target.height, target.width)
@@ -69,7 +70,7 @@ def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
     target.inverse_depth[begin * target.width : end * target.width] = -1.0
     if face is not None:
         face[begin * target.width : end * target.width] = NO_FACE
-    block = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
+    block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     is_whole = begin == 0 and end == target.height
     for k in range(len(boxes)):
         if is_whole or (boxes[k, 0] < end and boxes[k, 1] >= begin):

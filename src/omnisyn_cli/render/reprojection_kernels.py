@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.render.shade_kernels import LEVEL, X, Y, Z, find_source_directions
 from omnisyn_cli.render.trigonometry import atan2_fast
@@ -27,7 +28,7 @@ def measure_occlusion(rho, tables, view, surface, min_inverse_depth, out, begin,
     """
     width, (rows, cols) = rho.shape[1], surface.shape
     row_scale, col_scale = np.float32(rows / math.pi), np.float32(cols / (2.0 * math.pi))
-    coordinates, zero = np.empty((4, width), np.float32), np.float32(0.0)
+    coordinates, zero = empty((4, width), np.float32), np.float32(0.0)
     for row in range(begin, end):
         find_source_directions(
             rho[row], tables.sin_p[row], tables.cos_p[row], tables.sin_a, tables.cos_a, view, coordinates

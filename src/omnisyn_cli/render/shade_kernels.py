@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty, zeros
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.render.simd import (
     FIXED_POINT_UNIT,
@@ -168,11 +169,12 @@ def shade_edge_pixels(rho, edge_pixels, texture, sin_p, cos_p, view, colour):
 
 @inlined(fastmath=True)
 def _new_scratch(layout, cubic):
-    levels = layout.shape[0]
+    levels, confidences = layout.shape[0], empty(RUN_PIXELS, np.float32)
+    confidences[:] = np.float32(1.0)
     return _Scratch(
-        np.zeros((4, RUN_PIXELS), np.float32), np.empty(RUN_PIXELS, np.int32), np.ones(RUN_PIXELS, np.float32),
-        np.empty((3, RUN_PIXELS), np.int32), np.empty((levels, RUN_PIXELS), np.int32),
-        np.empty(levels * 4 * RUN_PIXELS, cubic.dtype), np.empty(levels, np.bool_), layout[:, 0].astype(np.int64),
+        zeros((4, RUN_PIXELS), np.float32), empty(RUN_PIXELS, np.int32), confidences,
+        empty((3, RUN_PIXELS), np.int32), empty((levels, RUN_PIXELS), np.int32),
+        empty(levels * 4 * RUN_PIXELS, cubic.dtype), empty(levels, np.bool_), layout[:, 0].astype(np.int64),
         layout[:, 1].astype(np.int64), _levels_from_full(layout),
     )  # fmt: skip
 
@@ -369,7 +371,7 @@ def _read_full(texels, stride, weights, fractions, scales, confidences, flat):
 @inlined(fastmath=True)
 def _levels_from_full(layout):
     """Scale and offset from texel rows and columns at full resolution to those of each level."""
-    factors = np.empty((layout.shape[0], 4), np.float32)
+    factors = empty((layout.shape[0], 4), np.float32)
     for level in range(layout.shape[0]):
         for axis in range(0, 4, 2):
             scale = layout[level, 2 + axis] / layout[0, 2 + axis]

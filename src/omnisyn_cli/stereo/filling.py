@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.compute.arrays import empty, zeros
 from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
@@ -146,8 +147,8 @@ def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray],
 def _filter_rows(channels, coupling, begin, end):  # type: ignore[no-untyped-def]
     """Recursive mean along some groups of rows, both ways; ``coupling[r, c]`` couples columns c − 1 and c."""
     height, width, count = channels.shape
-    lines = np.zeros((width, count, FILTER_ROWS_PER_GROUP), np.float32)
-    line_coupling = np.zeros((width, FILTER_ROWS_PER_GROUP), np.float32)
+    lines = zeros((width, count, FILTER_ROWS_PER_GROUP), np.float32)
+    line_coupling = zeros((width, FILTER_ROWS_PER_GROUP), np.float32)
     for group in range(begin, end):
         top, rows = group * FILTER_ROWS_PER_GROUP, min(FILTER_ROWS_PER_GROUP, height - group * FILTER_ROWS_PER_GROUP)
         for lane in range(rows):
@@ -171,7 +172,8 @@ def _filter_circular_lines(lines, coupling, side):  # type: ignore[no-untyped-de
     round begins with it and writes.
     """
     width, count, lanes = lines.shape
-    state, remaining = np.zeros((count, lanes), np.float32), np.ones(lanes, np.float32)
+    state, remaining = zeros((count, lanes), np.float32), empty(lanes, np.float32)
+    remaining[:] = np.float32(1.0)
     for k in range(2 * width):
         col = k % width if side == 0 else width - 1 - k % width
         own = coupling[col] if side == 0 else coupling[(col + 1) % width]

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import kernel
 
 NORMAL_EQUATION_TERMS = 9
@@ -22,7 +23,7 @@ def normal_equations(values, weight, directions):
         ``(height, width, 9)`` float32.
     """
     height, width = values.shape
-    out = np.empty((height, width, NORMAL_EQUATION_TERMS), np.float32)
+    out = empty((height, width, NORMAL_EQUATION_TERMS), np.float32)
     for row in range(height):
         for col in range(width):
             x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
@@ -51,7 +52,7 @@ def fitted_values(sums, fallback, directions, fallback_weight, tilt_ridge):
         ``(height, width)`` float64.
     """
     height, width = fallback.shape
-    out = np.empty((height, width), np.float64)
+    out = empty((height, width), np.float64)
     for row in range(height):
         for col in range(width):
             x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]

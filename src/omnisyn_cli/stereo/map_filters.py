@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
+from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
@@ -111,7 +112,7 @@ def joint_upsample(
 @fast_kernel()
 def _upsample_rows(low, low_guide, guide, rows, cols, out, begin, end):  # type: ignore[no-untyped-def]
     side = rows.weight.shape[1]
-    value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+    value, weight = empty(side * side, np.float32), empty(side * side, np.float32)
     for row in range(begin, end):
         r0, row_weight = rows.first[row], rows.weight[row]
         for col in range(out.shape[1]):

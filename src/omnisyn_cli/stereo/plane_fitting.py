@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
+from omnisyn_cli.compute.arrays import zeros
 from omnisyn_cli.compute.jit import fast_kernel, kernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z
@@ -21,7 +22,7 @@ PROPOSAL_WINDOW_SIDES = (12, 32, 64)
 MIN_WINDOW_POINTS = 12
 """A window with no more points proposes nothing."""
 
-LEVEL_PLANE_PROPOSALS, UPRIGHT_PLANE_PROPOSALS = 400, 800
+HORIZONTAL_PLANE_PROPOSALS, VERTICAL_PLANE_PROPOSALS = 400, 800
 """Random samples: one point defines a level plane, two define an upright one."""
 
 LEVEL_MIN_ELEVATION_SINE = 0.15
@@ -101,7 +102,7 @@ class PlaneEquations(NamedTuple):
         """Some of them."""
         return PlaneEquations(*(values[chosen] for values in self))
 
-    def allowed(self, normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " points"]:
+    def scaled_tolerance(self, normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " points"]:
         """Tolerance of the equation of each point: it shrinks as the plane comes near the second camera."""
         distance_share = max(abs(1.0 - float(normal @ SECOND_CAMERA)), 1e-9)  # from the second camera over the first
         return np.asarray(np.where(self.is_second, distance_share, 1.0) * self.tolerance)
@@ -137,8 +138,8 @@ def find_planes(
     if count < MIN_PLANE_POINTS:
         return np.zeros((0, 3))
     rng = np.random.default_rng(0)
-    of_second = planes_from_second(_propose(points[1], HALF_TURN_ABOUT_Z @ up, rng))
-    proposals = np.concatenate([_propose(points[0], up, rng), of_second[np.isfinite(of_second).all(axis=-1)]])
+    of_second = planes_from_second(_propose_planes(points[1], HALF_TURN_ABOUT_Z @ up, rng))
+    proposals = np.concatenate([_propose_planes(points[0], up, rng), of_second[np.isfinite(of_second).all(axis=-1)]])
     chosen = rng.choice(count, min(MAX_SCORED_POINTS, count), replace=False)
     equations, weight = equations.subset(chosen), solid_angle[chosen].astype(np.float32)
     inliers = _inlier_matrix(proposals, equations)
@@ -148,7 +149,7 @@ def find_planes(
         best = int(support.argmax())
         planes.append(fit_to_inliers(proposals[best], equations, weight > 0))
         residual = equations.rays @ planes[-1] - equations.inverse_depth
-        is_near = np.abs(residual) < EXPLAINED_TOLERANCE_FACTOR * equations.allowed(planes[-1])
+        is_near = np.abs(residual) < EXPLAINED_TOLERANCE_FACTOR * equations.scaled_tolerance(planes[-1])
         explained = np.flatnonzero((is_near | (inliers[:, best] > 0)) & (weight > 0))
         support -= weight[explained] @ inliers[explained]  # each point supports one plane only
         support[best] = 0.0
@@ -156,12 +157,12 @@ def find_planes(
     return np.array(planes).reshape(-1, 3)
 
 
-def _propose(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "proposals 3"]:
+def _propose_planes(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "proposals 3"]:
     """Planes that points of one camera propose, in its frame."""
     if len(points.directions) == 0:
         return np.zeros((0, 3))
     by_windows = [_propose_by_windows(points, side) for side in PROPOSAL_WINDOW_SIDES]
-    return np.concatenate([*by_windows, _propose_level(points, up, rng), _propose_upright(points, up, rng)])
+    return np.concatenate([*by_windows, _propose_horizontal(points, up, rng), _propose_vertical(points, up, rng)])
 
 
 def _inlier_matrix(
@@ -218,7 +219,7 @@ def _normal_equations(
     count: int,
 ) -> tuple[Float[np.ndarray, "groups 3 3"], Float[np.ndarray, "groups 3"]]:
     """Of each group, matrix and right side of the fit of ``normal · direction = inverse_depth``."""
-    matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    matrix, vector = zeros((count, 3, 3), np.float64), zeros((count, 3), np.float64)
     for k in range(len(directions)):
         at = group[k]
         for i in range(3):
@@ -229,22 +230,22 @@ def _normal_equations(
     return matrix, vector
 
 
-def _propose_level(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _propose_horizontal(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Floors and ceilings: ``normal = a · up``, where one point gives a."""
     sin_elevation = points.directions @ up
     steep = np.flatnonzero(np.abs(sin_elevation) > LEVEL_MIN_ELEVATION_SINE)
     if len(steep) == 0:
         return np.zeros((0, 3))
-    sample = rng.choice(steep, min(LEVEL_PLANE_PROPOSALS, len(steep)), replace=False)
+    sample = rng.choice(steep, min(HORIZONTAL_PLANE_PROPOSALS, len(steep)), replace=False)
     return np.asarray((points.inverse_depth[sample] / sin_elevation[sample])[:, None] * up)
 
 
-def _propose_upright(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _propose_vertical(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Walls: the normal is horizontal, so two points give it."""
     east = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     east /= np.linalg.norm(east)
     horizontal = np.stack([east, np.cross(up, east)])
-    pair = rng.integers(len(points.directions), size=(UPRIGHT_PLANE_PROPOSALS, 2))
+    pair = rng.integers(len(points.directions), size=(VERTICAL_PLANE_PROPOSALS, 2))
     matrix = points.directions[pair] @ horizontal.T
     is_solvable = np.abs(np.linalg.det(matrix)) > MIN_PAIR_DETERMINANT
     pair, matrix = pair[is_solvable], matrix[is_solvable]
@@ -257,9 +258,9 @@ def fit_to_inliers(
     """The plane fitted to those of the usable points that a plane explains."""
     group = np.zeros(len(is_usable), np.int64)
     for _ in range(ROBUST_ITERATIONS):
-        allowed = equations.allowed(normal)
-        residual = (equations.rays @ normal - equations.inverse_depth) / allowed
+        scaled_tolerance = equations.scaled_tolerance(normal)
+        residual = (equations.rays @ normal - equations.inverse_depth) / scaled_tolerance
         is_inlier = is_usable & (np.abs(residual) < OUTLIER_TOLERANCE_FACTOR)
-        weight = is_inlier / (allowed**2 * (1.0 + residual**2))
+        weight = is_inlier / (scaled_tolerance**2 * (1.0 + residual**2))
         normal = _fit_normals(equations.rays, equations.inverse_depth, weight, group, 1)[0]
     return normal

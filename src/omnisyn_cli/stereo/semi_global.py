@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64, UInt16
 
+from omnisyn_cli.compute.arrays import empty, zeros
 from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.compute.threads import run_ranges
 
@@ -176,8 +177,8 @@ def _aggregate_columns(inputs, total, slope, is_down, begin, end):  # type: igno
     """Adds up paths along meridians (``slope`` 0) or diagonals (``slope`` columns per row), some groups of columns."""
     height, width = inputs.lowest.shape
     offsets, lowest, luminance = inputs.offsets, inputs.lowest, inputs.luminance
-    paths = np.empty((2 * PATHS_PER_GROUP, inputs.longest_range + 2 * PATH_PADDING), np.uint16)
-    cheapest = np.empty(PATHS_PER_GROUP, np.uint16)
+    paths = empty((2 * PATHS_PER_GROUP, inputs.longest_range + 2 * PATH_PADDING), np.uint16)
+    cheapest = empty(PATHS_PER_GROUP, np.uint16)
     for group in range(begin, end):
         _reset_paths(paths)
         cheapest[:] = 0
@@ -201,8 +202,8 @@ def _aggregate_rows(inputs, total, begin, end):  # type: ignore[no-untyped-def]
     """Adds up paths along some rows, both ways."""
     width = inputs.lowest.shape[1]
     offsets, lowest, luminance = inputs.offsets, inputs.lowest, inputs.luminance
-    paths = np.empty((2, inputs.longest_range + 2 * PATH_PADDING), np.uint16)
-    unused_sums = np.zeros(inputs.longest_range, np.uint16)
+    paths = empty((2, inputs.longest_range + 2 * PATH_PADDING), np.uint16)
+    unused_sums = zeros(inputs.longest_range, np.uint16)
     for row in range(begin, end):
         for side in range(2):
             warm_up = SEAM_WARM_UP_COLUMNS
