@@ -10,7 +10,7 @@ from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, fusion_input_channels
-from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
@@ -40,7 +40,7 @@ def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", most)
     views, network = pair(size), RecordingNetwork()
     predict(views, network)
-    first, second = downsampled_pair(LayerPair(*views), (64, 128), RowTileRunner(size, 1))
+    first, second = downsampled_pair(LayerPair(*views), (64, 128), LayerPairShader(size, 1))
     rule = BlendRule.at(0.5, BlendOptions())
     recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
     assert len(recorded) == INPUT_CHANNELS

@@ -6,7 +6,7 @@ from fusion_samples import asked
 
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
-from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, LayerPairShader
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer
@@ -99,7 +99,7 @@ def test_bands_cover_every_row_once_in_order_of_their_steps(height: int) -> None
         assert (b == 4).all()
         assert a.shape == (bottom - top, 4, 4)
 
-    RowTileRunner(size, 3)(LayerPair(first, second).with_step(double).with_step(None).with_step(add), use)
+    LayerPairShader(size, 3)(LayerPair(first, second).with_step(double).with_step(None).with_step(add), use)
     assert (seen == 1).all()
     assert sorted(told) == list(range(0, height, TILE_ROWS))
 

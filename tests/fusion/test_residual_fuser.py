@@ -14,7 +14,7 @@ from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, disagreement_mask
-from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.residual import ResidualFuser, network_size
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_SCALE
 from omnisyn_cli.geometry.pose import Pose
@@ -173,7 +173,7 @@ def test_the_planes_are_what_they_are_said_to_be():
     (first, second), t, size = pair((ROWS, 2 * ROWS)), 0.3, (ROWS, 2 * ROWS)
     finer = [enlarged(view) for view in (first, second)]
     rule, source_samplers = BlendRule.at(t, BlendOptions()), (first.source_sampler, second.source_sampler)
-    planes, _ = InputBuilder(size, RowTileRunner(SIZE, 1))(LayerPair(*finer), rule, source_samplers)
+    planes, _ = InputBuilder(size, LayerPairShader(SIZE, 1))(LayerPair(*finer), rule, source_samplers)
     a, b = seen((first, second))
     assert planes.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *size)
     directions = pixel_directions(*size)

@@ -14,8 +14,8 @@ from omnisyn_cli.networks.fusion import (
     DirectFusionUNet,
     FusionConfig,
     ResidualFusionUNet,
-    ambiguity_mask,
     build_fusion,
+    depth_ambiguity,
 )
 from omnisyn_cli.networks.paper_layers import upsample_linear
 
@@ -57,7 +57,7 @@ def test_candidates_count_where_it_is_open_what_is_shown():
     given[0, RELEVANCE_CHANNEL] = torch.tensor([1.0, 1.0, 0.5, 0.0, 1.0])
     apart = (1 - 0.97**2) / 0.06
     wanted = torch.tensor([0.0, 1 - math.exp(-(apart**2)), 0.5, 1.0, 1.0])
-    torch.testing.assert_close(ambiguity_mask(given).flatten(), wanted, atol=1e-6, rtol=0)
+    torch.testing.assert_close(depth_ambiguity(given).flatten(), wanted, atol=1e-6, rtol=0)
 
 
 def test_bilinear_enlargement_continues_around_the_seam():
@@ -76,7 +76,7 @@ def test_shares_are_a_choice_beside_what_there_is():
     (shares,) = predict(network, given).values()
     weights = torch.exp(8.0 * torch.tensor([0.1, 0.2, 0.3, 0.4]) - 4.0)
     expected = (weights / (1.0 + weights.sum())).view(1, 4, 1, 1).expand(1, 4, 32, 64)
-    torch.testing.assert_close(shares, ambiguity_mask(given) * expected)
+    torch.testing.assert_close(shares, depth_ambiguity(given) * expected)
 
 
 def test_single_precision_is_enough():

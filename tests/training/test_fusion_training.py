@@ -10,7 +10,7 @@ from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
-from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_RGB, CANDIDATE_SCALE, HYPOTHESIS_DEPTHS
 from omnisyn_cli.geometry.pose import Pose
@@ -100,7 +100,7 @@ def test_the_network_knows_where_the_weights_are():
 
 def test_exchanging_the_views_exchanges_the_planes():
     first, second = rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))
-    make, options = InputBuilder(SIZE, RowTileRunner(first.inverse_depth.shape, 1)), BlendOptions()
+    make, options = InputBuilder(SIZE, LayerPairShader(first.inverse_depth.shape, 1)), BlendOptions()
     source_samplers = first.source_sampler, second.source_sampler
     there = make(LayerPair(first, second), BlendRule.at(0.3, options), source_samplers)[0]
     back = make(LayerPair(second, first), BlendRule.at(0.7, options), source_samplers[::-1])[0]

@@ -15,7 +15,7 @@ from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
-from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction
@@ -74,7 +74,7 @@ def test_planes_are_those_of_the_program(t):
     """Of tensors as of arrays, weights, confidence, filled holes and all."""
     first, second = random_view(1, (0.0, 0.0, t)), random_view(2, (0.0, 0.0, t - 1.0))
     rule = BlendRule.at(t, BlendOptions())
-    own, other = downsampled_pair(LayerPair(first, second), SIZE, RowTileRunner(SIZE, 1))
+    own, other = downsampled_pair(LayerPair(first, second), SIZE, LayerPairShader(SIZE, 1))
 
     def fill(image, weight):
         HoleFiller(SIZE, 1)(image, weight)

@@ -12,7 +12,7 @@ from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.confidence import confidence_step
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
-from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, LayerPairShader
 from omnisyn_cli.fusion.supersampling import EdgeSupersampler
 from omnisyn_cli.types import ColourStep, DirectionTables, Layer
 
@@ -42,7 +42,7 @@ class GeometricFuser:
     ) -> None:  # fmt: skip
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
-        self.tiles, self.is_seen = RowTileRunner(size, threads), np.empty(size, np.uint8)
+        self.tiles, self.is_seen = LayerPairShader(size, threads), np.empty(size, np.uint8)
         self._tables = DirectionTables.of_target(size)
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
         self._picture: np.ndarray | None = None

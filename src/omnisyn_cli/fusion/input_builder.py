@@ -9,7 +9,7 @@ from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
 from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
-from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates, make_warp_candidates
 from omnisyn_cli.types import SourceSampler
 
@@ -27,7 +27,7 @@ class InputBuilder:
         tiles: runs over the row tiles of the layers.
     """
 
-    def __init__(self, size: tuple[int, int], tiles: RowTileRunner) -> None:
+    def __init__(self, size: tuple[int, int], tiles: LayerPairShader) -> None:
         self.size, self._tiles = size, tiles
         self._filler = HoleFiller(size, tiles.threads)
 
@@ -53,7 +53,9 @@ class InputBuilder:
         return image
 
 
-def downsampled_pair(layers: LayerPair, size: tuple[int, int], tiles: RowTileRunner) -> tuple[LayerArrays, LayerArrays]:
+def downsampled_pair(
+    layers: LayerPair, size: tuple[int, int], tiles: LayerPairShader
+) -> tuple[LayerArrays, LayerArrays]:
     """Both layers at a smaller size: weighted block means of what is seen; colours are clipped to [0, 1]."""
     (height, _), (rows, _) = tiles.size, size
     colours, rhos = np.empty((2, *size, 4), np.float32), np.empty((2, *size), np.float32)

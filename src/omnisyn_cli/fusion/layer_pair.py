@@ -75,7 +75,7 @@ class LayerPair:
         return first, second
 
 
-class RowTileRunner:
+class LayerPairShader:
     """Shades a layer pair tile by tile on several threads. Its buffers are reused from frame to frame."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:

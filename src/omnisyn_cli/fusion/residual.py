@@ -19,7 +19,7 @@ from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import GhostSuppression, have_same_position
 from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import needs_no_network
-from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates
 from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.sampling import max_pool
@@ -88,7 +88,7 @@ class ResidualFuser(GeometricFuser):
         super().__init__(size, options, threads, edges=edges)
         self._network = network
         small = network_size(size, rows)
-        tiles = RowTileRunner(self._ghosts.downsampled_size, threads)
+        tiles = LayerPairShader(self._ghosts.downsampled_size, threads)
         self._inputs = None if small is None else InputBuilder(small, tiles)
 
     def __call__(

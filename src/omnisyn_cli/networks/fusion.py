@@ -87,10 +87,10 @@ class ResidualFusionUNet(RefinementUNet):
         """The weights of the backward-warped candidates; the geometric fusion has the rest of 1."""
         candidates = LOGIT_SCALE * self.predict(channels) - INITIAL_LOGIT_GAP
         logits = torch.cat([torch.zeros_like(candidates[:, :1]), candidates], dim=1)
-        return ambiguity_mask(channels) * logits.softmax(dim=1)[:, 1:]
+        return depth_ambiguity(channels) * logits.softmax(dim=1)[:, 1:]
 
 
-def ambiguity_mask(channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 1 height width"]:
+def depth_ambiguity(channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 1 height width"]:
     """From 0 to 1: how ambiguous a pixel is.
 
     Holes count as 1. Where one layer alone shows anything, or it matters which is shown, it depends on how different

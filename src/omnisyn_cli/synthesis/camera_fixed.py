@@ -99,7 +99,7 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
         first: a panorama.
         second: one taken elsewhere with the same camera.
     """
-    maps = _NadirMap.of(first), _NadirMap.of(second)
+    maps = _NadirPicture.of(first), _NadirPicture.of(second)
     caps = [_uniform_patch(each.image) for each in maps]
     if not all(cap.any() for cap in caps):
         caps = [_round_cap(each.image) for each in maps]
@@ -115,7 +115,7 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
 
 
 @dataclass(frozen=True)
-class _NadirMap:
+class _NadirPicture:
     """A panorama around its nadir.
 
     Attributes:
@@ -133,7 +133,7 @@ class _NadirMap:
     variance: Float32[np.ndarray, "rows cols"]
 
     @staticmethod
-    def of(view: View) -> _NadirMap:
+    def of(view: View) -> _NadirPicture:
         """Of a view; at most as fine as its picture."""
         x, y = _map_degrees()
         angle, azimuth = np.radians(np.hypot(x, y)), np.arctan2(x, -y)
@@ -148,7 +148,7 @@ class _NadirMap:
             mask = cv2.resize(view.mask.astype(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
             usable = mask[np.clip(np.rint(row), 0, height - 1).astype(int), np.rint(col).astype(int) % size[1]] > 0
         variance = (cv2.blur(image * image, WINDOW) - cv2.blur(image, WINDOW) ** 2) @ np.ones(3, np.float32)
-        return _NadirMap(image, usable, directions, image @ np.full(3, 1.0 / 3.0, np.float32), variance)
+        return _NadirPicture(image, usable, directions, image @ np.full(3, 1.0 / 3.0, np.float32), variance)
 
 
 def _map_degrees() -> tuple[np.ndarray, np.ndarray]:
@@ -239,7 +239,7 @@ def _round_cap(image: np.ndarray) -> Mask:
     return np.zeros(radius.shape, bool)
 
 
-def _find_static_regions(maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View]) -> Mask:
+def _find_static_regions(maps: tuple[_NadirPicture, _NadirPicture], views: tuple[View, View]) -> Mask:
     """What keeps its place in both maps although the ground there has moved."""
     nothing = np.zeros(maps[0].image.shape[:2], bool)
     way = views[1].pose.position - views[0].pose.position
@@ -298,7 +298,7 @@ def _objects(seeds: Mask, region: Mask) -> Mask:
 
 
 def _ground_height(
-    maps: tuple[_NadirMap, _NadirMap], views: tuple[View, View], repeats: Int[np.ndarray, "rows cols"]
+    maps: tuple[_NadirPicture, _NadirPicture], views: tuple[View, View], repeats: Int[np.ndarray, "rows cols"]
 ) -> float | None:
     """The first camera's height above the ground; None if no height stands out, or the cameras are too close for it.
 
@@ -317,7 +317,7 @@ def _ground_height(
     return float(heights[best]) if np.hypot(way[0], way[2]) >= MIN_BASELINE * heights[best] else None
 
 
-def _ground_pixels(own: _NadirMap, views: tuple[View, View], height: float) -> tuple[np.ndarray, np.ndarray]:
+def _ground_pixels(own: _NadirPicture, views: tuple[View, View], height: float) -> tuple[np.ndarray, np.ndarray]:
     """Columns and rows of the second view's map that show the ground which the first view's map shows."""
     own_pose, other_pose = views[0].pose, views[1].pose
     world = own.directions @ own_pose.rotation.T
@@ -327,7 +327,7 @@ def _ground_pixels(own: _NadirMap, views: tuple[View, View], height: float) -> t
     return np.where(is_below, col, -MAP_SIZE), np.where(is_below, row, -MAP_SIZE)
 
 
-def _repetition_count(one: _NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
+def _repetition_count(one: _NadirPicture, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
     """In how many of four directions a pattern repeats itself: it may be found in place by chance.
 
     The direction of the way of the camera counts twice: a line along it stays in place.
@@ -359,7 +359,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> Float32[np.ndarray, "rows cols
     return np.asarray(np.where(is_textured, (mean_ab - mean_a * mean_b) / scale, -1.0), np.float32)
 
 
-def _likeness(one: _NadirMap, other: _NadirMap, shift: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
+def _likeness(one: _NadirPicture, other: _NadirPicture, shift: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
     """Of windows of one map and of another that is moved: 1 for equal colours, 0 if they differ as much as they vary.
 
     -1 where either has too little contrast.

@@ -65,7 +65,9 @@ def plan_path(
         raise ValueError(f"expected at least one frame per panorama ({len(poses)}), got {frames}")
     where = _places(_segment_lengths(poses), frames, ease)
     segment_index = np.minimum(where.astype(int), len(poses) - 2)
-    return [w for k in range(len(poses) - 1) for w in _waypoints(poses, k, where[segment_index == k] - k, heading)]
+    return [
+        w for k in range(len(poses) - 1) for w in _segment_waypoints(poses, k, where[segment_index == k] - k, heading)
+    ]
 
 
 def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:
@@ -99,7 +101,7 @@ def _frames_at_knots(walked: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.minimum(later, last - order[::-1])
 
 
-def _waypoints(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading) -> Iterator[Waypoint]:
+def _segment_waypoints(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading) -> Iterator[Waypoint]:
     """The frames of one segment, at the shares ``t`` of its way; exact at 0 and 1."""
     first, second = poses[segment], poses[segment + 1]
     positions = (1.0 - t)[:, None] * first.position + t[:, None] * second.position

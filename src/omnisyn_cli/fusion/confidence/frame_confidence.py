@@ -54,7 +54,7 @@ def confidence_step(
 class ConfidenceTolerances(NamedTuple):
     """:data:`ONE_VIEW_CONFIDENCE`, :data:`DEPTH_TOLERANCE` and :data:`COLOUR_TOLERANCE` as kernels take them."""
 
-    one_view: np.float32
+    one_view_confidence: np.float32
     depth: np.float32
     colour: np.float32
 
@@ -86,7 +86,7 @@ def _confidence_rows(first, first_rho, second, second_rho, tolerances, out):
                 squared = squared / (np.float32(3.0) * tolerances.colour * tolerances.colour)
                 out[row, col] = depth_confidence * math.exp(-gap * gap - squared)
             elif a > MIN_VISIBLE_WEIGHT or b > MIN_VISIBLE_WEIGHT:
-                out[row, col] = depth_confidence * tolerances.one_view
+                out[row, col] = depth_confidence * tolerances.one_view_confidence
             else:
                 out[row, col] = zero
 

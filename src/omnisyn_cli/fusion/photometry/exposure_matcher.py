@@ -23,7 +23,7 @@ MAX_CLIPPED_WEIGHT_LOSS = 0.95
 """Share of its weight that a clipped colour may lose; the rest fills where only it is seen. Set by hand."""
 
 
-def _exposure_function(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:
+def _make_exposure_change(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:
     return lambda colour: expose_rows(colour, table, loss, CLIPPING_SRGB)
 
 
@@ -38,7 +38,7 @@ class ExposureMatcher:
     """
 
     curve: ExposureCurve
-    change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _exposure_function
+    change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _make_exposure_change
 
     def __call__(self, first: Layer, second: Layer, t: float) -> tuple[Layer, Layer]:
         """Both layers as they look at a share ``t`` of the way.

@@ -106,7 +106,7 @@ class GpuSurface:
     Attributes:
         frames: what it is drawn for.
         quads: of its mesh.
-        trust: in it.
+        surface_confidence: of its depth, on the device.
         texture: the photograph.
     """
 

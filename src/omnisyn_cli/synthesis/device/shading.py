@@ -1,7 +1,7 @@
 """The photograph looked up where each visible point was seen from, by the rule of :mod:`omnisyn_cli.render.shade`.
 
 Catmull-Rom where the photograph is magnified, else two mip levels, read bilinearly and mixed; the fourth channel is
-alpha times trust. Memory: about 0.2 kB for each pixel that is looked up together.
+alpha times confidence. Memory: about 0.2 kB for each pixel that is looked up together.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ class GpuConfidenceMap:
 
 
 def confidence_on(surface_confidence: ConfidenceMap, device: torch.device) -> GpuConfidenceMap:
-    """The same trust."""
+    """The same confidence."""
     *place, stride = surface_confidence.layout.tolist()
     return GpuConfidenceMap(torch.from_numpy(surface_confidence.values).to(device), tuple(place), int(stride))
 
