@@ -149,8 +149,8 @@ def probe() -> float:
     Numbers are looked up here and there and added one after the other, which no processor has special instructions for:
     sorting, which some do in a tenth of the time, said little about anything else, and so does asking for memory.
     """
-    values = np.linspace(0.0, 1.0, 1 << 18)
-    places, found = np.random.default_rng(0).permutation(len(values)), np.empty_like(values)
+    values, index = np.linspace(0.0, 1.0, 1 << 18), np.arange(1 << 18)
+    places, found = index * (2 * index + 1) % len(values), np.empty_like(values)  # each place once, in no order
     least = math.inf
     for _ in range(PROBE_REPEATS):
         begin = time.process_time()
