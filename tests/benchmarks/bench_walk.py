@@ -3,7 +3,7 @@
 ``FOLDER/walk`` is made once: panoramas of 4096×2048 along a snake with two short cuts, with known depth (``--count``,
 100). A browser with WebGL in software opens it over 127.0.0.1 and visits every panorama. Printed are the milliseconds
 until the first picture, of three openings, and megabytes: of graphics memory as the page counts it, of JavaScript, and
-resident ones of the browser's processes.
+resident ones of the browser's processes. The renderer's grow by the answers that a browser keeps for whoever drives it.
 """
 
 from __future__ import annotations

@@ -8,9 +8,12 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.viewer import served
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
@@ -24,6 +27,9 @@ QUIET = (
 
 MINUTES = 120_000
 """Milliseconds: busy machines draw slowly."""
+
+FACES = ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90))
+"""Degrees to the right and upwards."""
 
 CAPTURE = """async ([pose, fov, size]) => {
   const picture = await omnisyn.capture(pose, fov, size);
@@ -107,6 +113,22 @@ class WalkPage:
             np.frombuffer(colours, np.uint8).reshape(height, width, 4)[..., :3],
             [np.frombuffer(depth, np.float32).reshape(height, width) for depth in depths],
         )
+
+    def unfolded(self, pose: Pose, size: tuple[int, int]) -> np.ndarray:
+        """Six captured faces put together to a panorama, ``(height, width, 3)`` in [0, 1]."""
+        directions, nearest, side = pixel_directions(*size), np.full(size, -1.0), 2 * size[0]
+        panorama = np.zeros((*size, 3), np.float32)
+        for yaw, pitch in FACES:
+            turn = look(yaw, pitch)
+            colours, _ = self.capture(pose.rotation @ turn, pose.position, 90, (side, side))
+            x, y, z = np.moveaxis(directions @ turn, -1, 0)
+            ahead = np.maximum(-z, 1e-9)
+            place = ((x / ahead + 1) * side / 2 - 0.5, (1 - y / ahead) * side / 2 - 0.5)
+            col, row = (axis.astype(np.float32) for axis in place)
+            face = cv2.remap(colours.astype(np.float32) / 255, col, row, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+            here = -z > nearest
+            panorama[here], nearest[here] = face[here], -z[here]
+        return panorama
 
 
 @contextmanager

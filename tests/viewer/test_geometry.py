@@ -19,8 +19,9 @@ from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
-from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
+from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, contents, plan_view
 from omnisyn_cli.interpolation.viewer.contents import PackedViewer, TourPacker
+from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.pipeline.config import RunConfig
@@ -34,8 +35,6 @@ from viewer.browser import Launch, WalkPage, look, pinhole_rays
 SIZE = (256, 512)
 FARTHEST = 1e7
 """Metres; Embree knows no infinity."""
-
-FACES = ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90))
 
 
 @dataclass(frozen=True)
@@ -169,30 +168,11 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
     assert off.mean() < 0.7
 
 
-def unfolded(shot: Shot, pose: Pose, size: tuple[int, int], side: int) -> np.ndarray:
-    """Six captured faces put together to a panorama, ``(height, width, 3)`` in [0, 1]."""
-    directions, nearest = pixel_directions(*size), np.full(size, -1.0)
-    panorama = np.zeros((*size, 3), np.float32)
-    for yaw, pitch in FACES:
-        turn = look(yaw, pitch)
-        colours, _ = shot.page.capture(pose.rotation @ turn, pose.position, 90, (side, side))
-        x, y, z = np.moveaxis(directions @ turn, -1, 0)
-        ahead = np.maximum(-z, 1e-9)
-        col, row = (
-            ((x / ahead + 1) * side / 2 - 0.5).astype(np.float32),
-            ((1 - y / ahead) * side / 2 - 0.5).astype(np.float32),
-        )
-        face = cv2.remap(colours.astype(np.float32) / 255, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        here = -z > nearest
-        panorama[here], nearest[here] = face[here], -z[here]
-    return panorama
-
-
 def likeness(shot: Shot, t: float) -> float:
     """WS-PSNR of six faces and of the frame of a video whose edges are sampled once, as those on a screen are."""
     method = make_method(RunConfig(cut=shot.plan.config.cut, edges=False), SIZE, estimator=KnownDepth())
     frame = method.prepare(0, shot.views).frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
-    return ws_psnr(unfolded(shot, shot.pose(t), SIZE, 2 * SIZE[0]), np.clip(frame, 0, 1))
+    return ws_psnr(shot.page.unfolded(shot.pose(t), SIZE), np.clip(frame, 0, 1))
 
 
 @pytest.mark.parametrize("t", [0.25, 0.5, 0.75])
@@ -212,9 +192,46 @@ def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Pat
     other.page.page.context.close()
 
 
+def test_half_way_the_page_has_what_the_network_changes(shot: Shot) -> None:
+    """Its correction takes a frame by rules most of the way to that of the video."""
+    config = replace(shot.plan.config, edges=False)
+    assert correction_of(shot.plan, shot.pair) is None
+    correction = correction_of(replace(shot.plan, config=replace(config, fusion="network")), shot.pair)
+    assert correction is not None
+    waypoint = Waypoint(0, 0.5, Pose(np.eye(3), shot.pose(0.5).position))
+    by_rule, fused = (
+        make_method(replace(config, fusion=fusion), SIZE, estimator=KnownDepth())
+        .prepare(0, shot.views).frame(waypoint).image.copy()
+        for fusion in ("geometric", "network")
+    )  # fmt: skip
+    corrected = by_rule + (correction.astype(np.float32) - NO_CORRECTION) / CORRECTION_SCALE
+    assert ws_psnr(corrected, fused) > ws_psnr(by_rule, fused) + 6.0
+
+
+def test_a_correction_is_added_where_it_lies_and_fades_towards_the_ends(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Red on the right of the world's −z: by 20 levels half way, by 10 at a quarter, and not on the left."""
+    red = np.full((*SIZE, 3), NO_CORRECTION, np.uint8)
+    red[:, SIZE[1] // 2 :, 0] += 10
+    monkeypatch.setattr(contents, "correction_of", lambda plan, pair: red)
+    packer = TourPacker(shot.plan, ViewOptions(is_lossless=True))
+    packer.add(shot.pair)
+    file = shot.plan.job.output.with_name("corrected.html")
+    write_page(file, packer.packed())
+    page = WalkPage(shot.opened, file).wait()
+    for yaw, t, levels in ((90, 0.5, 20), (90, 0.25, 10), (-90, 0.5, 0)):
+        seen = [
+            one.capture(look(yaw, 10), shot.pose(t).position, 60, (100, 100))[0].astype(float)
+            for one in (shot.page, page)
+        ]
+        changes = (seen[1] - seen[0]).reshape(-1, 3)
+        np.testing.assert_allclose(np.median(changes, axis=0), (levels, 0, 0), atol=1)
+
+
 @pytest.mark.parametrize("end", [0, 1])
 def test_at_a_panorama_it_is_the_photograph(shot: Shot, end: int) -> None:
-    assert ws_psnr(unfolded(shot, shot.pose(end), SIZE, 2 * SIZE[0]), shot.views[end].image) >= 45.0
+    assert ws_psnr(shot.page.unfolded(shot.pose(end), SIZE), shot.views[end].image) >= 45.0
 
 
 def test_maps_are_unpacked_exactly(shot: Shot) -> None:

@@ -12,7 +12,7 @@ from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.session import check_device_of_networks
 
-__all__ = ["check_device", "surface_config", "video_config"]
+__all__ = ["check_device", "page_config", "surface_config", "video_config"]
 
 MIN_FRAMES_TO_SIMPLIFY = 32
 """Between two panoramas, from which on fewer triangles save more time than it takes to find them.
@@ -41,6 +41,14 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
         fallback="none" if is_as_published else job.fallback, device=job.device,
     )  # fmt: skip
+
+
+def page_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
+    """What a walk is made with: surfaces, and the fusion of their video where that is a rule with a correction."""
+    defaults, surfaces = PRESETS[job.preset].config, surface_config(job, entries)
+    is_corrected = defaults.fusion == "network" and surfaces.depth.kind == defaults.depth.kind
+    fusion = defaults.fusion if is_corrected else surfaces.fusion
+    return replace(surfaces, fusion=fusion, fusion_rows=defaults.fusion_rows)
 
 
 def video_config(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> RunConfig:

@@ -21,6 +21,8 @@ from omnisyn_cli.types import Fuser
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuPair
 
+__all__ = ["Frame", "FrameAllocator", "fuse_frame"]
+
 FrameAllocator = Callable[[], UInt8[np.ndarray, "height width 3"]]
 
 

@@ -17,6 +17,7 @@ from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
 from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
+from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
 from omnisyn_cli.interpolation.viewer.packing import (
     Blocks,
     confidence_codes,
@@ -60,6 +61,8 @@ RULES: Mapping[str, float] = {
     "CLIPPING_SRGB": float(CLIPPING_SRGB),
     "MAX_CLIPPED_WEIGHT_LOSS": MAX_CLIPPED_WEIGHT_LOSS,
     "SAME_POINT_TOLERANCE": SAME_POINT_TOLERANCE,
+    "NO_CORRECTION": float(NO_CORRECTION),
+    "CORRECTION_SCALE": float(CORRECTION_SCALE),
     "NEAR": 0.02,
 }
 """Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
@@ -131,8 +134,16 @@ class TourPacker:
             "panoramas": [surface.index for surface in pair.surfaces],
             "surfaces": [self._surface(surface) for surface in pair.surfaces],
             "isCrossFade": is_ambiguous,
+            "correction": None if is_ambiguous else self._correction(pair),
             "exposure": None if gains is None else self.blocks.add(zlib.compress(np.array(gains, "<f4").tobytes(), 9)),
         }
+
+    def _correction(self, pair: PairSurfaces) -> dict[str, Any] | None:
+        samples = correction_of(self._plan, pair)
+        if samples is None:
+            return None
+        content, kind = packed_photograph(samples, is_lossless=self._options.is_lossless)
+        return {"block": self.blocks.add(content), **kind}
 
     def packed(self) -> PackedViewer:
         """All of it."""

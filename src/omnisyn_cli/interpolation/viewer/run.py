@@ -11,6 +11,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError, PoseError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
+from omnisyn_cli.interpolation.configs import page_config
 from omnisyn_cli.interpolation.job import TourJob
 from omnisyn_cli.interpolation.plan import (
     TourPlan,
@@ -158,7 +159,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
     else:
         check_page(job.output, job.overwrite)
     check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
-    tour = plan_tour(job)
+    tour = plan_tour(job, page_config)
     _check_linked(tour)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     still = pairs_at_one_place(tour)

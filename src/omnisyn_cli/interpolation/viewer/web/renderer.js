@@ -59,7 +59,12 @@ class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(...viewport);
     const { levels } = this.targets;
-    this.show.use({ fine: levels[0].pulled, coarse: levels[1].pushed, corner: margin, viewport: viewport.slice(0, 2), unknown });
+    this.show.use({
+      fine: levels[0].pulled, coarse: levels[1].pushed, corner: margin, viewport: viewport.slice(0, 2), unknown,
+      lens, seen: this.targets.seen, correction: scene.correction ?? this.one, toWorld: columns(eye.rotation),
+      corrected: scene.correction ? 1 - Math.abs(2 * scene.t - 1) : 0,
+      middle: scene.correction ? unrotated(eye.rotation, minus(scene.middle, eye.position)) : [0, 0, 0],
+    });
     this.fillPicture();
   }
 

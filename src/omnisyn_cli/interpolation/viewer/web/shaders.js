@@ -277,8 +277,15 @@ void main() {
 }
 `;
 
-// To the screen: the middle of the picture, holes filled; far from the way what nobody saw fades to grey.
-const SHOW_FRAGMENT = `${PUSHED}
+// To the screen: the middle of the picture, holes filled; far from the way what nobody saw fades to grey. What a video
+// has half way beyond the rule is added there, and less towards both ends: it lies on the nearest surface.
+const SHOW_FRAGMENT = `${PUSHED}${PLACE}
+uniform vec4 lens;
+uniform sampler2D seen[2];
+uniform sampler2D correction;
+uniform float corrected;
+uniform mat3 toWorld;
+uniform vec3 middle;
 uniform sampler2D fine;
 uniform sampler2D coarse;
 uniform ivec2 corner;
@@ -295,6 +302,13 @@ void main() {
     vec2 place = (vec2(pixel) + 0.5) / vec2(textureSize(fine, 0));
     float known = clamp(4.0 * textureLod(coarse, place, 0.0).a, 0.0, 1.0);
     colour = mix(colour, vec3(0.25 * dot(colour, vec3(0.3, 0.6, 0.1)) + 0.08), unknown * (1.0 - 0.5 * known));
+  }
+  if (corrected > 0.0) {
+    vec2 slope = (2.0 * (vec2(pixel) + 0.5) / vec2(textureSize(fine, 0)) - 1.0 - lens.zw) / lens.xy;
+    float rho = max(max(texelFetch(seen[0], pixel, 0).r, texelFetch(seen[1], pixel, 0).r), 0.0);
+    vec3 away = normalize(vec3(slope, -1.0)) - rho * middle;
+    vec3 change = 255.0 * textureLod(correction, placeOf(toWorld * away), 0.0).rgb - NO_CORRECTION;
+    colour = max(colour + corrected / CORRECTION_SCALE * change, 0.0);
   }
   shown = vec4(colour, 1.0);
 }

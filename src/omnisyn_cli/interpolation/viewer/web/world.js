@@ -124,9 +124,13 @@ class World {
     const levels = this.panoramas[index].photo;
     const fits = levels.filter(({ width }) => !this.isPhone || width <= PHONE_COLUMNS);
     const level = isPreview || !fits.length ? levels[0] : fits.at(-1);
-    const bytes = 4 * MIP_SHARE * level.width * level.height;
-    return { key: `photo ${index} ${levels.indexOf(level)}`, bytes, make: async () => {
-      const bitmap = await this.blocks.picture(level);
+    return { key: `photo ${index} ${levels.indexOf(level)}`, ...this.thingOf(level) };
+  }
+
+  thingOf(picture) {
+    const bytes = 4 * MIP_SHARE * picture.width * picture.height;
+    return { bytes, make: async () => {
+      const bitmap = await this.blocks.picture(picture);
       if (!this.gl) return { bytes, bitmap, dispose: () => bitmap.close() };
       const made = photoTexture(this.gl, bitmap);
       bitmap.close();
@@ -144,7 +148,7 @@ class World {
     } };
   }
 
-  // Both surfaces of a link, and how its photographs are exposed.
+  // Both surfaces of a link, how its photographs are exposed, and what is added half way.
   surfaces(link) {
     if (!this.gl) return [];
     const surfaces = link.surfaces.map((index) => {
@@ -160,7 +164,8 @@ class World {
       const both = [0, 1].map((end) => new Exposure(this.gl, gains.subarray(end * half, (end + 1) * half), end));
       return { bytes: 8192, both, dispose: () => both.forEach((one) => one.dispose()) };
     } };
-    return [...surfaces, exposure];
+    const correction = link.correction && { key: `correction ${link.index}`, ...this.thingOf(link.correction) };
+    return [...surfaces, exposure, correction];
   }
 
   // Loads what is wanted at a place. False: somewhere else became more urgent. `onStep` is told what has come. Fails
@@ -240,7 +245,8 @@ class World {
     const shown = views.filter((view) => view !== null);
     const isPlain = !isReady && (t === 0 || t === 1);
     if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, isPlain: true, views: [shown[0], shown[0]] } : null;
-    return { t, isCrossFade: link.isCrossFade || !isReady, isPlain, views };
+    const correction = isReady ? this.things.get(`correction ${link.index}`)?.texture : null;
+    return { t, isCrossFade: link.isCrossFade || !isReady, isPlain, views, correction, middle: this.pointAt({ link, t: 0.5 }) };
   }
 
   // Nothing is kept any more, nor what is still on its way.
