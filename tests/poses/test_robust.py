@@ -106,3 +106,21 @@ def test_the_uncertainty_is_what_repeating_shows():
         stated.append([spread.rotation, spread.direction])
     ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / np.mean(stated, axis=0)
     assert np.all((ratio > 0.5) & (ratio < 2.0))
+
+
+def test_a_known_pose_wins_that_is_less_likely_by_chance():
+    """Repeated doors: few matches that lie apart agree with a wrong pose, more in crowds with the right one."""
+    rng = np.random.default_rng(2)
+    right, wrong = (Pose(np.eye(3), np.array(direction)) for direction in ([1.0, 0.0, 0.0], [0.0, 0.0, -1.0]))
+    middles = unit(rng.normal(size=(12, 3)))
+    crowds = (middles[:, None] + rng.uniform(-0.1, 0.1, (12, 8, 3))).reshape(-1, 3) * 3.0
+    alone = unit(rng.normal(size=(40, 3))) * 3.0
+    parts = [seen(Pose.identity(), pose, points) for pose, points in ((right, crowds), (wrong, alone))]
+    matches = Matches(*(np.concatenate([getattr(part, end) for part in parts]) for end in ("first", "second")), PIXEL)
+    for known in ((right,), (wrong, right)):
+        estimate = estimate_relative_pose(matches, known)
+        assert estimate is not None
+        assert direction_error(estimate.first_from_second, right) < np.radians(1.0)
+    alone_found = estimate_relative_pose(matches)
+    assert alone_found is not None
+    assert direction_error(alone_found.first_from_second, wrong) < np.radians(1.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector, rotation_taking
+from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.poses.registration.features import Matches
 
@@ -60,7 +60,11 @@ def angle_between(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch
 
 def cross_matrices(vectors: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """``[v]`` with ``[v]·w = v × w``."""
-    return np.asarray(np.cross(np.eye(3), vectors[..., None, :]))
+    matrices = np.zeros((*vectors.shape, 3))
+    for k in range(3):
+        matrices[..., k, k - 2] = -vectors[..., k - 1]
+        matrices[..., k, k - 1] = vectors[..., k - 2]
+    return matrices
 
 
 def sphere_cells(
@@ -180,8 +184,15 @@ def _jackknife_variances(jacobian: np.ndarray, residual: np.ndarray, cell: np.nd
 
 
 def _tangent(direction: np.ndarray) -> np.ndarray:
-    """Two unit vectors orthogonal to ``direction`` and to each other, as columns."""
-    return rotation_taking(np.array([0.0, 0.0, 1.0]), direction)[:, :2]
+    """Two unit vectors orthogonal to ``direction`` and to each other, as columns.
+
+    Source: Duff et al., Building an orthonormal basis, revisited, JCGT 2017.
+    """
+    x, y, z = direction.tolist()
+    sign = math.copysign(1.0, z)
+    share = 1.0 / (sign + z)
+    mixed = -x * y * share
+    return np.array([[1.0 - sign * x * x * share, mixed], [sign * mixed, sign - y * y * share], [-sign * x, -y]])
 
 
 def _jacobian(pose: Pose, matches: Matches) -> np.ndarray:

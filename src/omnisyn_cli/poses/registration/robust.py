@@ -19,9 +19,11 @@ from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import (
     Uncertainty,
     angle_between,
+    direction_error,
     epipolar_residual,
     is_in_front,
     refine_pose,
+    rotation_error,
     sphere_cells,
     uncertainty,
 )
@@ -86,6 +88,10 @@ HYPOTHESES_PER_CHUNK = 256
 
 REFINED_HYPOTHESES = 5
 """Hypotheses that are refined."""
+
+RIVAL_ANGLE = math.radians(5.0)
+"""Radians of rotation or direction from which on a known pose contradicts the one that costs least. The one that is
+less likely by chance is right: in a corridor repeated doors have many matches, but few distinct ones."""
 
 CLEAR_SHARE = 0.6
 """Share of the matches that agree with a known or an upright pose from which on no general one is looked for."""
@@ -230,7 +236,13 @@ def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals:
         costs += [_pose_cost(pose, matches, weight, scale) for pose in refined[len(costs) :]]
     if not refined:  # one picture twice: all samples are degenerate
         return refine_pose(FORWARD_POSE, matches, scale)
-    return refined[int(np.argmin(costs))]
+    best = refined[int(np.argmin(costs))]
+    rivals = [pose for pose in refined[: len(known)] if _contradict(pose, best)]
+    return min([best, *rivals], key=lambda pose: _log_false_alarms(pose, matches, verticals)) if rivals else best
+
+
+def _contradict(first: Pose, second: Pose) -> bool:
+    return max(rotation_error(first, second), direction_error(first, second)) > RIVAL_ANGLE
 
 
 def _in_front(essentials: np.ndarray, matches: Matches, weight: np.ndarray, scale: float) -> list[Pose]:

@@ -142,8 +142,8 @@ def _with_right_direction(
         return estimate
     pose = estimate.first_from_second
     opposite = Pose(pose.rotation, -pose.position)
-    rivals = int(support_mask(opposite, matches, inlier_threshold(matches)).sum())
-    if rivals < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
+    rivals = support_mask(opposite, matches, inlier_threshold(matches)) & ~estimate.inliers  # far ones agree with both
+    if int(rivals.sum()) < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
         return estimate
     agreement = [dense_agreement(first.view, second.view, each) for each in (pose, opposite)]
     if agreement[1] < MIN_AGREEMENT_RATIO * agreement[0]:
