@@ -34,8 +34,8 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 
 
 SCALE: Mapping[str, Preset] = _by_name(
-    Preset("fast", "11 s, 24.8 dB; for drafts", _refined(384, edges=False)),
-    Preset("balanced", "28 s, 26.2 dB; the default", _refined(1024, fusion="network")),
+    Preset("fast", "14 s, 25.0 dB; for drafts", _refined(384, edges=False)),
+    Preset("balanced", "33 s, 26.3 dB; the default", _refined(1024, fusion="network")),
 )
 """By name, from the fastest to the most accurate."""
 
