@@ -83,7 +83,7 @@ def test_all_problems_are_listed_with_their_lines(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "word"),
     [({"output": "/abs.mp4"}, "relative"), ({"output": "a/../../b.mp4"}, "relative"), ({"output": "C:\\x.mp4"}, "rel"),
-     ({"output": "results.jsonl"}, "itself"), ({"output": ".omnisyn-batch/x.mp4"}, "itself"),
+     ({"output": "results.jsonl"}, "itself"), ({"output": ".omnisyn-x/y.mp4"}, "itself"),
      ({"output": "%05d.png"}, "folder"), ({"frames": 1}, "frames"), ({"frames": 3, "duration": 2}, "either"),
      ({"size": "64x64"}, "twice"), ({"size": "64"}, "size"), ({"cut": 0.1, "cut_metres": 1}, "either"),
      ({"cut": 0}, "cut"), ({"depth": "guess"}, "depth"), ({"preset": "best"}, "preset"), ({"renderer": "x"}, "rend"),

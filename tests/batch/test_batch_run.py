@@ -19,15 +19,16 @@ from omnisyn_cli.batch import batch_runner as batch_module
 from omnisyn_cli.batch import interpolations, provenance
 from omnisyn_cli.batch.batch_runner import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.batch.executor import Work
-from omnisyn_cli.batch.folder import STAGING_DIR, open_staging_dir, write_outputs
+from omnisyn_cli.batch.folder import attempt_folder, open_staging_dir, remove_leftovers, write_outputs
 from omnisyn_cli.batch.interpolations import Interpolator, WorkerSettings
 from omnisyn_cli.batch.manifest import read_manifest
-from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.errors import InputError, OutputPathError, WriteError
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
+from omnisyn_cli.io.outputs import replaced_when_complete
 from omnisyn_cli.poses import estimation as posing
 from omnisyn_cli.poses.estimation import FoundPoses
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
@@ -66,7 +67,7 @@ def test_a_batch_makes_what_interpolating_makes(tmp_path):
         run_interpolation(plan_interpolation(job.interpolation(tmp_path / "alone", threads=1)))
     assert contents(tmp_path / "out") == contents(tmp_path / "alone")
     assert "f/v_001.png" in contents(tmp_path / "out")
-    assert not (tmp_path / "out" / STAGING_DIR).exists()
+    assert not list((tmp_path / "out").glob(".*"))
 
 
 def test_a_record_says_what_a_result_was_made_of(tmp_path):
@@ -254,8 +255,8 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(tmp_path, insta
              line(0, 2, depth="network", model="mine.onnx")]  # fmt: skip
     jobs = read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
     (tmp_path / "out").mkdir()
-    with open_staging_dir(tmp_path / "out") as token:
-        work = Interpolator(WorkerSettings(tmp_path / "out", token, 1))
+    with open_staging_dir(tmp_path / "out") as staging:
+        work = Interpolator(WorkerSettings(tmp_path / "out", staging, 1))
         for _ in range(2):
             for job in jobs:
                 work(job)
@@ -394,9 +395,22 @@ def test_files_that_no_record_names_are_safe_beside_those_of_a_batch(tmp_path):
 
 def test_what_a_killed_run_had_no_time_to_record_is_replaced(tmp_path):
     write_row(tmp_path, 2)
-    (tmp_path / "out" / STAGING_DIR).mkdir(parents=True)
-    (tmp_path / "out" / "0-1").mkdir()
-    assert len(batch(tmp_path, line(0, 1)).done) == 1
+    (tmp_path / "out" / "0-1").mkdir(parents=True)
+    killed = open_staging_dir(tmp_path / "out")
+    staging = tmp_path / "out" / killed.__enter__()
+    (staging / "unfinished").touch()
+    report = batch(tmp_path, line(0, 1))
+    assert (len(report.done), report.leftovers) == (1, [staging])
+    assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_a_worker_that_outlives_its_batch_writes_nothing(tmp_path):
+    former, work = open_staging_dir(tmp_path), open_staging_dir(tmp_path)
+    with attempt_folder(tmp_path / former.__enter__()) as (attempt, _), work as staging:
+        assert remove_leftovers(tmp_path, staging) == [attempt.parent]
+        with pytest.raises(WriteError), replaced_when_complete(attempt / "a.mp4") as file:
+            file.touch()
+    assert not list(tmp_path.glob(".*"))
 
 
 @pytest.mark.parametrize("mistaken", ["depth1.exr", "mask.png"])
@@ -454,16 +468,15 @@ def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path):
     (job,) = read_manifest(path).jobs
     there, elsewhere = tmp_path / "there", tmp_path / "elsewhere"
     there.mkdir()
-    with open_staging_dir(there) as token:
-        seen = Interpolator(WorkerSettings(there, token, 1))(job)
-        sent = Interpolator(WorkerSettings(elsewhere, token, 1))(job)
-        other = Interpolator(WorkerSettings(there, "another token", 1))(job)
+    with open_staging_dir(there) as staging:
+        seen = Interpolator(WorkerSettings(there, staging, 1))(job)
+        sent = Interpolator(WorkerSettings(elsewhere, staging, 1))(job)
+        other = Interpolator(WorkerSettings(there, "another", 1))(job)
     assert seen["files"] is None
     assert not elsewhere.exists()
     assert set(sent["files"]) == set(contents(there)) == set(other["files"])
     elsewhere.mkdir()
-    with open_staging_dir(elsewhere):
-        write_outputs(sent["files"], elsewhere, job.places)
+    write_outputs(sent["files"], elsewhere, job.places)
     assert contents(elsewhere) == contents(there)
     assert sent["outputs"] == seen["outputs"]
 

@@ -17,10 +17,18 @@ from typing import Any, Literal
 
 from omnisyn_cli import __version__
 from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
-from omnisyn_cli.batch.folder import Records, is_unchanged, open_staging_dir, prepare_folder, write_outputs
+from omnisyn_cli.batch.folder import (
+    STAGING_SUFFIX,
+    Records,
+    is_unchanged,
+    open_staging_dir,
+    prepare_folder,
+    remove_leftovers,
+    write_outputs,
+)
 from omnisyn_cli.batch.interpolations import WorkerSettings
 from omnisyn_cli.batch.local_executor import LocalExecutor
-from omnisyn_cli.batch.manifest import RECORDS, STAGING_DIR, BatchJob, Manifest
+from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError, OmnisynError
@@ -89,12 +97,14 @@ class BatchReport:
         kept: jobs that were done already.
         failed: jobs that failed, now or before.
         seconds: wall time of this run.
+        leftovers: hidden folders of runs that were killed, which this run has removed.
     """
 
     done: list[dict[str, Any]] = field(default_factory=list)
     kept: list[dict[str, Any]] = field(default_factory=list)
     failed: list[dict[str, Any]] = field(default_factory=list)
     seconds: float = 0.0
+    leftovers: list[Path] = field(default_factory=list)
 
     def describe(self) -> dict[str, Any]:
         """The report as plain values, for JSON; records of jobs that went well are in the file of records."""
@@ -131,12 +141,13 @@ def run_batch(
     inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
     prepare_folder(folder, places, inputs, overwrite=options.overwrite)
     report = BatchReport()
-    with Records(folder / RECORDS) as records, open_staging_dir(folder) as token:
+    with Records(folder / RECORDS) as records, open_staging_dir(folder) as staging:
+        report.leftovers = remove_leftovers(folder, staging)
         todo = [job for job in manifest.jobs if _is_open(job, folder, records, report, options.retry_failed)]
         jobs = [Job(job.id, job, _cost(job), job.group) for job in todo]
         tell = on_progress or (lambda _: None)
         tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
-        executor = make_executor(partial(WorkerSettings, folder.absolute(), token), options, len(jobs))
+        executor = make_executor(partial(WorkerSettings, folder.absolute(), staging), options, len(jobs))
         with closing(run_jobs(jobs, executor)) as outcomes:
             for outcome in outcomes:
                 record = _record(outcome, folder, is_host_named=options.record_host)
@@ -211,7 +222,8 @@ def _without_folders(value: Any, output: Path, inputs: Path) -> Any:
         return [_without_folders(item, output, inputs) for item in value]
     if not isinstance(value, str):
         return value
-    attempt = rf"{re.escape(STAGING_DIR)}[/\\]{re.escape(TEMPORARY_PREFIX)}[0-9a-f-]+[/\\]"
+    hidden = rf"{re.escape(TEMPORARY_PREFIX)}[0-9a-f-]+"
+    attempt = rf"{hidden}{re.escape(STAGING_SUFFIX)}[/\\]{hidden}[/\\]"
     made, given = (re.escape(f"{folder}{os.sep}") for folder in (output.absolute(), inputs))
     return re.sub(f"(?:{made}(?:{attempt})?|{given})", "", value)
 

@@ -6,20 +6,29 @@ A worker that cannot see the folder (on another machine) works in a temporary on
 import json
 import os
 import re
-import secrets
 import shutil
 import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from omnisyn_cli.batch.manifest import RECORDS, STAGING_DIR
+from omnisyn_cli.batch.manifest import RECORDS
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.locks import lock
-from omnisyn_cli.io.outputs import check_folder, check_kept, temporary_name, write_errors
+from omnisyn_cli.io.outputs import (
+    TEMPORARY_PREFIX,
+    check_folder,
+    check_kept,
+    hidden_folder,
+    temporary_name,
+    write_errors,
+)
+
+STAGING_SUFFIX = ".batch"
+"""Of the hidden folder in which a batch works; its whole name is that of no other run."""
 
 
 def recorded_outputs(path: Path) -> set[str]:
@@ -119,7 +128,7 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
     check_folder(folder)
     outputs = list(outputs)
     check_kept((folder / place for place in outputs), inputs, whole_folders=True)
-    if overwrite or (folder / STAGING_DIR).exists():
+    if overwrite or _staging_dirs(folder):
         return
     recorded = recorded_outputs(folder / RECORDS)
     if existing := [place for place in outputs if place not in recorded and (folder / place).exists()]:
@@ -131,38 +140,54 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
 
 @contextmanager
 def open_staging_dir(folder: Path) -> Iterator[str]:
-    """Make the hidden folder for work in progress, without what a run that was killed left there; remove it again.
+    """Make the hidden folder for work in progress; remove it again.
 
-    Yields a token by which a worker can tell whether it sees this folder: :func:`shares_staging_dir`.
+    Yields its name, by which a worker can tell whether it sees this folder: see :func:`attempt_folder`.
     """
-    staging, token = folder / STAGING_DIR, secrets.token_hex(16)
-    shutil.rmtree(staging, ignore_errors=True)
+    staging = temporary_name(folder, STAGING_SUFFIX)
     try:
         with write_errors(staging):
             staging.mkdir()
-            (staging / token).touch()
-        yield token
+        yield staging.name
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        _remove(staging)
 
 
-def shares_staging_dir(folder: Path, token: str) -> bool:
-    """Whether this is the folder, seen from this machine, in which :func:`open_staging_dir` was called."""
-    return (folder / STAGING_DIR / token).exists()
+def remove_leftovers(folder: Path, staging: str) -> list[Path]:
+    """Remove hidden folders of runs that were killed, and name them; ``staging`` is that of the only run at work."""
+    found = [place for place in _staging_dirs(folder) if place.name != staging]
+    for place in found:
+        _remove(place)
+    return found
+
+
+def _staging_dirs(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"{TEMPORARY_PREFIX}*{STAGING_SUFFIX}"))
+
+
+def _remove(staging: Path) -> None:
+    """Under another name first: a worker that has outlived its batch by a moment finds no place to write to."""
+    removed = temporary_name(staging.parent, STAGING_SUFFIX)
+    with suppress(OSError):
+        staging = staging.rename(removed)
+    shutil.rmtree(staging, ignore_errors=True)
 
 
 @contextmanager
-def attempt_folder(folder: Path | None) -> Iterator[Path]:
-    """An empty folder for one attempt at a job, gone afterwards; None is the system's place for such folders."""
-    if folder is None:
+def attempt_folder(staging: Path) -> Iterator[tuple[Path, bool]]:
+    """An empty folder for one attempt at a job, gone afterwards, and whether it is in the batch's hidden folder.
+
+    A machine that does not see that folder takes its own place for such folders.
+    """
+    if not staging.is_dir():
         with tempfile.TemporaryDirectory(prefix="omnisyn-batch-") as name:
-            yield Path(name)
+            yield Path(name), False
         return
-    attempt = temporary_name(folder / STAGING_DIR)
+    attempt = temporary_name(staging)
     try:
         with write_errors(attempt):
             attempt.mkdir()
-        yield attempt
+        yield attempt, True
     finally:
         shutil.rmtree(attempt, ignore_errors=True)
 
@@ -211,7 +236,7 @@ def read_outputs(attempt: Path, places: Iterable[str]) -> dict[str, bytes]:
 
 def write_outputs(files: Files, folder: Path, places: Iterable[str]) -> None:
     """Write what :func:`read_outputs` took, under final names."""
-    with attempt_folder(folder) as attempt:
+    with hidden_folder(folder) as attempt:
         for name, content in files.items():
             target = attempt / name
             with write_errors(folder / name):

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from omnisyn_cli.batch.folder import attempt_folder, output_stats, publish, read_outputs, shares_staging_dir
+from omnisyn_cli.batch.folder import attempt_folder, output_stats, publish, read_outputs
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.batch.provenance import digest_of_network, file_stamp, job_sources
 from omnisyn_cli.interpolation.loading import CachedPanorama
@@ -136,12 +136,12 @@ class WorkerSettings:
 
     Attributes:
         folder: of the batch, absolute.
-        token: of the batch's staging directory, see :func:`~omnisyn_cli.batch.folder.shares_staging_dir`.
+        staging: name of the hidden folder in it, see :func:`~omnisyn_cli.batch.folder.open_staging_dir`.
         threads: of each interpolation.
     """
 
     folder: Path
-    token: str
+    staging: str
     threads: int
 
 
@@ -156,8 +156,7 @@ class Interpolator:
     def __call__(self, job: BatchJob) -> dict[str, Any]:
         """Make the outputs of a job; what there is to say about it, and the files if they could not be put in place."""
         begin, sources, folder = time.perf_counter(), job_sources(job), self._settings.folder
-        is_shared = shares_staging_dir(folder, self._settings.token)
-        with attempt_folder(folder if is_shared else None) as attempt:
+        with attempt_folder(folder / self._settings.staging) as (attempt, is_shared):
             for place in job.places:
                 (attempt / place).parent.mkdir(parents=True, exist_ok=True)
             details = self._interpolate(job, attempt, sources)

@@ -23,7 +23,7 @@ from omnisyn_cli.interpolation.checks import check_choices, check_method, check_
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
-from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, real_path
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
@@ -31,9 +31,6 @@ __all__ = ["Manifest", "read_manifest"]
 
 RECORDS = "results.jsonl"
 """File in the folder of a batch that says what became of every job."""
-
-STAGING_DIR = ".omnisyn-batch"
-"""Hidden folder for what is not finished yet."""
 
 MIN_EVEN_SIZE = (2, 4)
 """Rows and columns that every encoder takes."""
@@ -260,6 +257,6 @@ def _inside(place: str) -> PurePosixPath:
         if len(path.parts) < 2:
             raise InputError(f"expected a folder for numbered images, got {place!r}; write one such as a/{place}")
         path = path.parent
-    if path.parts[0] in (RECORDS, STAGING_DIR):
+    if path.parts[0] == RECORDS or path.parts[0].startswith(TEMPORARY_PREFIX):
         raise InputError(f"expected another name than {path.parts[0]}, which the batch itself uses; choose one")
     return path

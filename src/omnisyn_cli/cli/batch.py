@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.failures import EXIT_CODES_LINE, EXIT_FAILURE
+from omnisyn_cli.cli.machine import leftover_notes
 from omnisyn_cli.cli.options import json_option, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.progress import is_watched
@@ -160,6 +161,11 @@ def _print_report(report: BatchReport, folder: Path, *, as_json: bool, quiet: bo
         )
         for version in report.describe()["kept_from_versions"]:
             say(f"note: some were done by version {version}; remove their outputs to have them again", err=True)
+    if not quiet:
+        for folder_left in report.leftovers:
+            say(f"note: a run that was killed had left {folder_left}, which is removed", err=True)
+        for note in leftover_notes(folder):
+            say(f"note: {note}", err=True)
     if report.failed:
         _print_failures(report)
 
