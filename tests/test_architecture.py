@@ -57,8 +57,8 @@ FILE_MODULES = (
 """The only ones that open files: io, machine code, models, checkpoints and data sets, and the records of a batch."""
 
 LIGHT = {
-    "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools", "json",
-    "math", "os", "pathlib", "shutil", "signal", "sys", "threading", "time", "types", "typing",
+    "atexit", "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools",
+    "json", "math", "os", "pathlib", "shutil", "signal", "sys", "threading", "time", "types", "typing",
 }  # fmt: skip
 """Parts of the standard library that a command may import at its top."""
 

@@ -1,6 +1,7 @@
 """The command line itself: help is instant, errors are one line, every way to end has its exit code."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -38,6 +39,19 @@ def test_help_imports_nothing_heavy(words: str) -> None:
     assert code == "0"
     assert not HEAVY & {module.partition(".")[0] for module in modules}
     assert done.stdout
+
+
+def test_no_plugin_of_another_program_is_loaded(tmp_path: Path) -> None:
+    """Looking for them takes as long as reading poses."""
+    (tmp_path / "other-1.dist-info").mkdir()
+    (tmp_path / "other-1.dist-info" / "METADATA").write_text("Name: other\nVersion: 1\n")
+    (tmp_path / "other-1.dist-info" / "entry_points.txt").write_text("[pydantic]\nother = other\n")
+    (tmp_path / "other.py").write_text("print('loaded')\n")
+    command = [sys.executable, "-m", "omnisyn_cli", "models"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
+    environment.pop("PYDANTIC_DISABLE_PLUGINS", None)  # this process may have set it already
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert "loaded" not in done.stdout
 
 
 def test_the_library_imports_without_torch_and_onnxruntime() -> None:

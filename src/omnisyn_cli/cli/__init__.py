@@ -4,6 +4,8 @@ Every command lives in a module of its own that is imported when the command is 
 instant.
 """
 
+import atexit
+import gc
 import io
 import os
 import sys
@@ -23,6 +25,11 @@ from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import WriteError
 
 __all__ = ["cli", "main"]
+
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+"""pydantic would look through all that is installed for other people's code, which takes as long as reading poses."""
+
+atexit.register(gc.disable)  # looking for garbage when all is given back anyway takes a twentieth of a dry run
 
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make a 360° video between two or more panoramas."),

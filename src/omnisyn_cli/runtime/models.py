@@ -61,6 +61,10 @@ class ModelEntry:
     hours: float = 0.0
 
 
+ENTRIES = TypeAdapter(list[ModelEntry])
+"""Checks what a manifest lists."""
+
+
 def models_folder() -> Path:
     """Where the default models lie: inside an installed package, or at the root of a checkout."""
     package = Path(__file__).resolve().parents[1]
@@ -78,7 +82,7 @@ def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
         return {}
     try:
         manifest = tomllib.loads(path.read_text(encoding="utf-8"))
-        entries = TypeAdapter(list[ModelEntry]).validate_python(manifest.get("models", []))
+        entries = ENTRIES.validate_python(manifest.get("models", []))
     except (OSError, ValueError, RecursionError) as error:  # of TOML, of UTF-8, of pydantic
         reason = f"{error!s:.{MAX_REASON_CHARS}}".replace("\n", " ")
         raise InputError(f"expected a manifest of models in {path}, but {reason}; write it with export-onnx") from error
