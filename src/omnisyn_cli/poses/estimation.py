@@ -23,7 +23,7 @@ from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
-from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_distance
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
@@ -94,8 +94,9 @@ class PairDiagnosis:
     views: tuple[View, View]
 
     def camera_height(self) -> float | None:
-        """Metres of the first camera above the floor; None where poses do not fit, or no floor is found."""
-        return floor_distance(*self.views) if self.diagnosis.verdict in ("fits", "close") else None
+        """Metres of both cameras above the floor, the mean; None where poses do not fit, or no floor is found."""
+        heights = floor_heights([self.views]) if self.diagnosis.verdict in ("fits", "close") else []
+        return heights[0] if heights else None
 
 
 @dataclass(frozen=True)
@@ -293,11 +294,7 @@ def _scale(
     steps = [float(np.linalg.norm(world[b].position - world[a].position)) for a, b in pairwise(order)]
     mean = float(np.mean(steps)) or 1.0
     if camera_height is not None:
-        heights = [
-            height
-            for a, b in pairwise(order)
-            if (height := floor_distance(_view(scans[a], world[a]), _view(scans[b], world[b]))) is not None
-        ]
+        heights = floor_heights(list(pairwise([_view(scans[k], world[k]) for k in order])))
         if not heights:
             raise PoseError(
                 "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "

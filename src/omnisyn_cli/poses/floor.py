@@ -1,30 +1,110 @@
-"""How far below a camera the floor is: what a known height of the camera makes metres of."""
+"""How high cameras stand above the floor: what a known height of the cameras makes metres of.
+
+Level planes below each pair are swept. Tables and beds are level as well, so the floor is the lowest one of those that
+fit about best. The sweeps of a set are added up: all pairs see one floor, but not one table.
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import at_same_position
-from omnisyn_cli.stereo.plane_sweep import sweep_planes
+from omnisyn_cli.stereo.plane_sweep import AxisSweep, fit_plane, significant_support, sweep_directions
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import View
 
 FLOOR_SIZE = (256, 512)
 """Height and width of the pair in which planes are found: twice that of the sweep, for the fit."""
 
-MAX_FLOOR_SLOPE = math.radians(15.0)
-"""Radians by which the normal of a floor may be off the vertical."""
+MIN_FLOOR_SHARE = 0.4
+"""A level plane may be the floor with this share of the support of the best one: furniture hides much of a floor.
+Chosen on the even pairs of ``bench_poses.py``, between floors below a table (0.67) and noise below a floor (0.11)."""
+
+FLANK_RATIO = 1.28
+"""Of the heights of two planes, up to which the worse one is the flank of the better one: four steps of a sweep."""
+
+HEIGHT_STEP = 0.03
+"""Relative step at which the sweeps of all pairs are added: half of that of a sweep."""
+
+SAME_FLOOR_RATIO = 1.13
+"""Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres."""
+
+FLOOR_SLOPE, SLOPE_PIXELS = math.radians(2.0), 200.0
+"""What floors slope by, and how many pixels outweigh that: neighbouring ones do not match independently. Without it a
+floor of which little is seen tilts by up to 10°, and its height is off by a quarter."""
 
 
-def floor_distance(first: View, second: View) -> float | None:
-    """Distance of the first camera from the lowest level plane that both panoramas see; None if there is none.
+@dataclass(frozen=True)
+class LevelSweep:
+    """How well level planes below two cameras fit.
 
-    In the unit of the positions.
+    Attributes:
+        views: of both.
+        heights: of both cameras above each plane, the mean.
+        support: of each plane above the median of all, as a share of the textured sphere; in the worse panorama.
+        is_significant: by the rules for peaks of a sweep.
     """
-    if at_same_position(first.pose, second.pose):
-        return None
-    pair = rectify(first, second, FLOOR_SIZE)
-    planes = sweep_planes(pair, pair.grid.up[None])
-    lengths = np.linalg.norm(planes, axis=1)
-    is_floor = -planes @ pair.grid.up > math.cos(MAX_FLOOR_SLOPE) * lengths
-    return float((pair.baseline / lengths[is_floor]).max()) if is_floor.any() else None
+
+    views: tuple[View, View]
+    heights: Float[np.ndarray, " planes"]
+    support: Float[np.ndarray, " planes"]
+    is_significant: Bool[np.ndarray, " planes"]
+
+    @staticmethod
+    def of(first: View, second: View) -> "LevelSweep":
+        """That of two panoramas from different places."""
+        pair = rectify(first, second, FLOOR_SIZE)
+        sweep = AxisSweep.of(sweep_directions(pair)[0], pair.grid.up)
+        excess, is_significant = significant_support(sweep.support(0))
+        heights = pair.baseline * sweep.distances + _half_rise(first, second)
+        is_below = heights > 0.0
+        return LevelSweep((first, second), *(each[is_below] for each in (heights, excess.clip(0.0), is_significant)))
+
+    def height_above(self, floor: float) -> float | None:
+        """Measured height above the plane that fits best near a floor; None if none does."""
+        is_near = _is_same(self.heights, floor)
+        if not (is_near & self.is_significant).any():
+            return None
+        pair, rise = rectify(*self.views, FLOOR_SIZE), _half_rise(*self.views)
+        best = float(self.heights[np.where(is_near, self.support, -1.0).argmax()])
+        up, inverse_distance = pair.grid.up, pair.baseline / (best - rise)
+        stiffness = SLOPE_PIXELS / (FLOOR_SLOPE * inverse_distance) ** 2 * (np.eye(3) - np.outer(up, up))
+        normal = fit_plane(sweep_directions(pair), -inverse_distance * up, stiffness)
+        measured = pair.baseline / max(-float(normal @ up), 1e-9) + rise  # straight below the first camera
+        return measured if _is_same(measured, floor) else None
+
+
+def floor_heights(pairs: Sequence[tuple[View, View]]) -> list[float]:
+    """How high the cameras of each pair that sees the floor stand above it, in the unit of the positions.
+
+    Args:
+        pairs: of one world whose y axis is up. All cameras are about equally high.
+    """
+    sweeps = [LevelSweep.of(*pair) for pair in pairs if not at_same_position(*(view.pose for view in pair))]
+    if not sweeps:
+        return []
+    every = np.log(np.concatenate([sweep.heights for sweep in sweeps]))
+    grid = np.arange(every.min() - HEIGHT_STEP, every.max() + 2.0 * HEIGHT_STEP, HEIGHT_STEP)
+    # Support is constant beyond the ends of a sweep, so that none of them looks like a peak.
+    support = np.sum([np.interp(grid, np.log(sweep.heights), sweep.support) for sweep in sweeps], axis=0)
+    peaks = 1 + np.flatnonzero((support[1:-1] >= support[:-2]) & (support[1:-1] > support[2:]))
+    if len(peaks) == 0:
+        return []
+    at, height = support[peaks], grid[peaks]
+    is_flank = (np.abs(height - height[:, None]) < math.log(FLANK_RATIO)) & (at > at[:, None])
+    floor = float(np.exp(height[(at >= MIN_FLOOR_SHARE * at.max()) & ~is_flank.any(axis=1)].max()))
+    measured = [sweep.height_above(floor) for sweep in sweeps]
+    return [height for height in measured if height is not None]
+
+
+def _half_rise(first: View, second: View) -> float:
+    """Half of what the second camera is above the first one."""
+    return 0.5 * float(second.pose.position[1] - first.pose.position[1])
+
+
+def _is_same(heights: np.ndarray | float, floor: float) -> Bool[np.ndarray, " *planes"]:
+    ratio = np.asarray(heights) / floor
+    return (ratio > 1.0 / SAME_FLOOR_RATIO) & (ratio < SAME_FLOOR_RATIO)

@@ -202,12 +202,14 @@ def _propose_by_windows(points: PlanePoints, side: int) -> np.ndarray:
 
 
 def _fit_normals(
-    rays: np.ndarray, inverse_depth: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int
-) -> np.ndarray:
+    rays: np.ndarray, inverse_depth: np.ndarray, weight: np.ndarray, group: np.ndarray, count: int,
+    stiffness: np.ndarray | float = 0.0,
+) -> np.ndarray:  # fmt: skip
     """Weighted least-squares normals of ``count`` groups of points."""
     matrix, vector = _normal_equations(rays, inverse_depth, weight, group, count)
     ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12  # groups on a line or a point stay solvable
-    return np.asarray(np.linalg.solve(matrix + ridge[:, None, None] * np.eye(3), vector[..., None])[..., 0])
+    matrix += ridge[:, None, None] * np.eye(3) + stiffness
+    return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
 
 
 @kernel()
@@ -253,14 +255,22 @@ def _propose_vertical(points: PlanePoints, up: np.ndarray, rng: np.random.Genera
 
 
 def fit_to_inliers(
-    normal: Float[np.ndarray, " 3"], equations: PlaneEquations, is_usable: Bool[np.ndarray, " points"]
-) -> Float[np.ndarray, " 3"]:
-    """The plane fitted to those of the usable points that a plane explains."""
+    normal: Float[np.ndarray, " 3"], equations: PlaneEquations, is_usable: Bool[np.ndarray, " points"],
+    stiffness: Float[np.ndarray, "3 3"] | float = 0.0,
+) -> Float[np.ndarray, " 3"]:  # fmt: skip
+    """The plane fitted to those of the usable points that a plane explains.
+
+    Args:
+        normal: of that plane.
+        equations: of the points.
+        is_usable: which of them may be used.
+        stiffness: adds ``normal · stiffness · normal`` to the squared residuals, in tolerances of points.
+    """
     group = np.zeros(len(is_usable), np.int64)
     for _ in range(ROBUST_ITERATIONS):
         scaled_tolerance = equations.scaled_tolerance(normal)
         residual = (equations.rays @ normal - equations.inverse_depth) / scaled_tolerance
         is_inlier = is_usable & (np.abs(residual) < OUTLIER_TOLERANCE_FACTOR)
         weight = is_inlier / (scaled_tolerance**2 * (1.0 + residual**2))
-        normal = _fit_normals(equations.rays, equations.inverse_depth, weight, group, 1)[0]
+        normal = _fit_normals(equations.rays, equations.inverse_depth, weight, group, 1, stiffness)[0]
     return normal

@@ -34,7 +34,7 @@ from omnisyn_cli.stereo.plane_fitting import (
 )
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
-__all__ = ["EXPLAINED_COST", "sweep_planes"]
+__all__ = ["EXPLAINED_COST", "AxisSweep", "fit_plane", "significant_support", "sweep_directions", "sweep_planes"]
 
 T = TypeVar("T")
 
@@ -202,19 +202,26 @@ def sweep_planes(pair: RectifiedPair, axes: Float[np.ndarray, "axes 3"]) -> Floa
         pair: of any size.
         axes: unit vectors, up first: floors and ceilings are across it, walls across level ones.
     """
-    pair = _at_equal_exposure(pair)
-    rows = max(pair.size[0] // 2, min(MIN_SWEEP_ROWS, pair.size[0]))
-    small = pair.resized((rows, 2 * rows))
-    coarse = SweepDirection(small), SweepDirection(small.reversed())
-    fine = SweepDirection(pair), SweepDirection(pair.reversed())
-    found = _greedy_planes(coarse, axes)
-    fitted = [_fit(fine, _fit(coarse, normal, COARSE_FIT_COUNT), FINE_FIT_COUNT) for normal in found]
+    directions = sweep_directions(pair)
+    found = _greedy_planes(directions[0], axes)
+    fitted = [fit_plane(directions, normal) for normal in found]
     planes = [
         after
         for before, after in zip(found, fitted, strict=True)
         if _is_nearly_parallel(before, after) and np.linalg.norm(after) < 1.0 / NEAREST_PLANE_BASELINES
     ]
     return np.array(planes).reshape(-1, 3)
+
+
+def sweep_directions(pair: RectifiedPair) -> tuple[Directions, Directions]:
+    """The images that are swept, and those that planes are then fitted in, at equal exposure."""
+    pair = _at_equal_exposure(pair)
+    rows = max(pair.size[0] // 2, min(MIN_SWEEP_ROWS, pair.size[0]))
+    small = pair.resized((rows, 2 * rows))
+    return (
+        (SweepDirection(small), SweepDirection(small.reversed())),
+        (SweepDirection(pair), SweepDirection(pair.reversed())),
+    )
 
 
 def _at_equal_exposure(pair: RectifiedPair) -> RectifiedPair:
@@ -361,12 +368,18 @@ def _peak(support: Float[np.ndarray, "2 distances"]) -> tuple[float, int]:
 
     Of both panoramas the worse one counts. A maximum at either end of the sweep is none.
     """
+    excess, is_significant = significant_support(support)
+    at = int(excess.argmax())
+    return float(excess[at]) if is_significant[at] and at not in (0, len(excess) - 1) else 0.0, at
+
+
+def significant_support(
+    support: Float[np.ndarray, "2 distances"],
+) -> tuple[Float[np.ndarray, " distances"], Bool[np.ndarray, " distances"]]:
+    """Support above the median of all distances, in the worse panorama, and where it is enough for a plane."""
     median = np.median(support, axis=1, keepdims=True)
     excess, ratio = (support - median).min(axis=0), (support / np.maximum(median, 1e-4)).min(axis=0)
-    at = int(excess.argmax())
-    if at in (0, len(excess) - 1) or ratio[at] < MIN_PEAK_RATIO:
-        return 0.0, at
-    return float(excess[at]), at
+    return excess, (excess >= MIN_PEAK_EXCESS) & (ratio >= MIN_PEAK_RATIO)
 
 
 def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
@@ -390,15 +403,34 @@ def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
     return []
 
 
-def _fit(directions: Directions, normal: Float[np.ndarray, " 3"], times: int) -> Float[np.ndarray, " 3"]:
+def fit_plane(
+    directions: tuple[Directions, Directions], normal: Float[np.ndarray, " 3"],
+    stiffness: Float[np.ndarray, "3 3"] | float = 0.0,
+) -> Float[np.ndarray, " 3"]:  # fmt: skip
+    """A plane of a sweep measured, first in the images that were swept and then in those of the pair.
+
+    Args:
+        directions: from :func:`sweep_directions`.
+        normal: of the plane, as :func:`sweep_planes` returns it.
+        stiffness: see :func:`omnisyn_cli.stereo.plane_fitting.fit_to_inliers`.
+    """
+    coarse, fine = directions
+    return _fit(fine, _fit(coarse, normal, COARSE_FIT_COUNT, stiffness), FINE_FIT_COUNT, stiffness)
+
+
+def _fit(
+    directions: Directions, normal: np.ndarray, times: int, stiffness: np.ndarray | float = 0.0
+) -> Float[np.ndarray, " 3"]:
     """The plane fitted again and again to where the pixels of both panoramas match best that it shows."""
     for _ in range(times):
-        normal = _fit_once(directions, normal, planes_from_second(normal[None])[0])
+        normal = _fit_once(directions, normal, planes_from_second(normal[None])[0], stiffness)
     return normal
 
 
-def _fit_once(directions: Directions, normal: np.ndarray, from_second: np.ndarray) -> Float[np.ndarray, " 3"]:
+def _fit_once(
+    directions: Directions, normal: np.ndarray, from_second: np.ndarray, stiffness: np.ndarray | float
+) -> Float[np.ndarray, " 3"]:
     normals = normal, from_second
     points = _for_both_directions(directions, lambda which, direction: direction.matched_points(normals[which]))
     equations = PlaneEquations.of(*points)
-    return fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool))
+    return fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool), stiffness)

@@ -48,7 +48,7 @@ def camera_height_sentence(height: float) -> str:
     """What a height in metres above the floor says about the distance given."""
     low, high = PLAUSIBLE_CAMERA_HEIGHTS
     doubt = "" if low <= height <= high else ", which is unusual; is the distance in metres?"
-    return f"by the distance given, the first camera is {height:.2f} m above the floor{doubt}"
+    return f"by the distance given, the cameras are {height:.2f} m above the floor{doubt}"
 
 
 def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -1,0 +1,52 @@
+"""Height above the floor: furniture, several pairs, cameras of different heights, and nothing below."""
+
+import numpy as np
+import pytest
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
+from omnisyn_cli.types import View
+
+HEIGHT, TABLE_HEIGHT, TILE = 1.5, 0.75, 0.07
+COLOURS = np.random.default_rng(5).uniform(0.15, 0.85, (256, 256, 3)).astype(np.float32)
+
+
+def view(x: float, rise: float = 0.0, table: tuple[float, float] | None = None, *, has_floor: bool = True) -> View:
+    """A camera over speckled tiles under an even sky; a table stands between two values of x, 1.2 m deep."""
+    pose = Pose(rotation_from_heading(3.0 * x), np.array([x, HEIGHT + rise, 0.0]))
+    rays = pixel_directions(*FLOOR_SIZE) @ pose.rotation.T
+    image = np.full((*FLOOR_SIZE, 3), 0.7, np.float32)
+    for level, ends in ((0.0, None), (TABLE_HEIGHT, table)):
+        if (level == 0.0 and not has_floor) or (level > 0.0 and ends is None):
+            continue
+        reach = (pose.position[1] - level) / np.maximum(-rays[..., 1], 1e-3)
+        across, along = (pose.position[k] + reach * rays[..., k] for k in (0, 2))
+        shown = (rays[..., 1] < -0.1) & (reach < 8.0)
+        if ends is not None:
+            shown &= (across > ends[0]) & (across < ends[1]) & (np.abs(along) < 0.6)
+        cells = (np.floor(np.stack([across, along]) / TILE + 100.0 * level)).astype(int) % 256
+        image[shown] = COLOURS[cells[0], cells[1]][shown]
+    return View(image, pose)
+
+
+def test_the_floor_is_found_below_a_table():
+    first, second = (view(x, table=(0.8, 2.0)) for x in (0.0, 1.0))
+    assert floor_heights([(first, second)]) == pytest.approx([HEIGHT], rel=0.02)
+
+
+def test_of_a_set_the_level_that_most_pairs_see_is_the_floor():
+    """The second pair sees a table and no floor: alone it takes the one for the other, in the set it does not count."""
+    on_table = tuple(view(x, table=(-9.0, 9.0), has_floor=False) for x in (1.0, 1.6))
+    others = [tuple(view(x + k) for x in (0.0, 0.8)) for k in range(2)]
+    assert floor_heights([on_table]) == pytest.approx([HEIGHT - TABLE_HEIGHT], rel=0.02)
+    assert floor_heights([others[0], on_table, others[1]]) == pytest.approx([HEIGHT, HEIGHT], rel=0.02)
+
+
+def test_of_cameras_of_different_heights_the_mean_counts():
+    assert floor_heights([(view(0.0), view(1.0, rise=0.2))]) == pytest.approx([HEIGHT + 0.1], rel=0.02)
+
+
+def test_without_a_floor_there_is_no_height():
+    assert floor_heights([(view(0.0, has_floor=False), view(1.0, has_floor=False))]) == []
+    assert floor_heights([(view(0.0), view(0.0))]) == []
