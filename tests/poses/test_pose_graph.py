@@ -9,6 +9,7 @@ from registration_samples import PIXEL, chain, edges_of
 from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.poses.registration.pose_graph import (
+    agreeing_edges,
     average_rotations,
     baseline_lengths,
     consistent_edges,
@@ -50,6 +51,18 @@ def test_a_pair_that_contradicts_the_others_is_dropped():
     assert consistent_edges([*right, wrong], rotations) == right
     for k in range(5):
         assert rotation_angle((poses[0].rotation.T @ poses[k].rotation).T @ rotations[k]) < np.radians(0.01)
+
+
+@pytest.mark.parametrize("is_ordered", [True, False])
+@pytest.mark.parametrize("shift", [-1.0, 0.3])
+def test_a_pair_that_is_shifted_along_repeated_tiles_is_dropped(shift, is_ordered):
+    """It is not turned, and its matches agree; it stands on the other side, or nearer by so much of its distance."""
+    poses, pairs = chain(), [(0, 1), (1, 2), (2, 3), (3, 4), (0, 2), (2, 4)]
+    right, moved = edges_of(poses, pairs), [*poses[:4], replace(poses[4], position=shift * poses[4].position)]
+    wrong = edges_of(moved, [(0, 4)])
+    rotations = average_rotations([*right, *wrong], range(5))
+    assert agreeing_edges([*wrong, *right], rotations, is_ordered=is_ordered) == right
+    assert agreeing_edges(right, rotations, is_ordered=is_ordered) == right
 
 
 def test_who_is_connected_with_nobody_is_not_placed():

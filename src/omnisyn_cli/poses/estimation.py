@@ -31,6 +31,7 @@ from omnisyn_cli.poses.registration.gravity import find_vertical
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import (
     Edge,
+    agreeing_edges,
     average_rotations,
     baseline_lengths,
     consistent_edges,
@@ -201,6 +202,7 @@ def estimate_poses(
     if len(placed) < 2 or (left_out and must_place_all):
         raise _unplaced(images, placed, tried)
     edges = [edge for edge in edges if edge.first in placed]
+    edges = agreeing_edges(edges, {k: rotations[k] for k in placed}, is_ordered=not finds_order)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
     found = positions_of(edges, *baseline_lengths(edges, given), {k: rotations[k] for k in placed})
     poses = {k: Pose(rotations[k], found[k]) for k in placed}
