@@ -154,6 +154,18 @@ def test_without_poses_too_a_missing_panorama_is_named(tmp_path: Path, omnisyn: 
     assert f"{tmp_path / 'other' / 'd.png'}: expected a panorama, got no such file" in without
 
 
+@every_command
+@pytest.mark.parametrize("poses", [(), ("--poses", "auto")])
+def test_a_single_name_is_a_panorama_too_few_or_wrong(
+    tmp_path: Path, omnisyn: Omnisyn, command: str, poses: tuple[str, ...]
+) -> None:
+    """Before anything is said of poses or frames."""
+    (tmp_path / "a.png").touch()
+    for name, words in (("a.png", "expected two or more panoramas"), ("tuor", "got no such file")):
+        assert f"{tmp_path / name}: " in (told := omnisyn.refused(command, tmp_path / name, *poses))
+        assert words in told
+
+
 @pytest.mark.parametrize("command", [*COMMANDS, "poses check", "poses refine"])
 def test_a_panorama_that_does_not_exist_is_no_missing_pose(tmp_path: Path, omnisyn: Omnisyn, command: str) -> None:
     inputs = [write_pair(tmp_path)[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME]

@@ -172,10 +172,13 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
 
     images, poses, output = options["images"], options["poses"], options["output"]
     path = options.get("path")
-    if poses is None and not poses_beside(images):
+    is_alone = len(images) == 1 and not images[0].is_dir()
+    if is_alone or (poses is None and not poses_beside(images)):
         for image in images:
             if not image.exists():
                 raise InputError(f"{image}: expected a panorama, got no such file; check the name")
+        if is_alone:
+            raise InputError(f"{images[0]}: expected two or more panoramas or a folder of them, got one; name another")
         raise InputError(
             f"expected --poses, or a poses.json beside {images[0]}, got neither; have poses found in the pictures "
             "(--poses auto), or name the pose file (--poses FILE)"
