@@ -19,7 +19,7 @@ from omnisyn_cli.io import Panorama, read_depth, read_panorama, write_depth, wri
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
-from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
+from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, world_directions, write_hall, ws_psnr
 
 
 def run(job: InterpolationJob) -> list[np.ndarray]:
@@ -244,6 +244,17 @@ def test_nothing_there_is_a_place_infinitely_far(tmp_path: Path, pair: Hall) -> 
         write_depth(tmp_path / f"p{index}_depth.exr", np.full(SIZE, np.inf))
     run(pair.job(save_depth=tmp_path / "depth"))
     assert np.isinf(read_depth(tmp_path / "depth" / "0000_p0_depth.exr")).all()
+
+
+def test_the_summary_says_how_high_the_cameras_stand_and_doubts_what_is_unusual(tmp_path: Path, pair: Hall) -> None:
+    for height, is_usual in ((1.6, True), (16.0, False)):
+        for index, pose in enumerate(CHAIN[:2]):
+            down = np.maximum(-world_directions(pose, SIZE)[..., 1], 1e-3)
+            write_depth(tmp_path / f"p{index}_depth.exr", (pose.position[1] + height) / down)
+        summary = run_interpolation(pair.plan(output=tmp_path / f"{height}"))
+        mean = height + 0.5 * (CHAIN[0].position[1] + CHAIN[1].position[1])
+        assert summary.describe()["camera_heights"] == [{"first": 0, "metres": pytest.approx(mean, rel=0.02)}]
+        assert any("which is unusual" in line for line in summary.lines()) != is_usual
 
 
 def test_exr_frames_keep_what_eight_bits_would_round(tmp_path: Path, pair: Hall) -> None:

@@ -1,12 +1,14 @@
 """Height above the floor: furniture, several pairs, cameras of different heights, and nothing below."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
-from omnisyn_cli.types import View
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_in_depth
+from omnisyn_cli.types import DepthEstimate, View
 
 HEIGHT, TABLE_HEIGHT, TILE = 1.5, 0.75, 0.07
 COLOURS = np.random.default_rng(5).uniform(0.15, 0.85, (256, 256, 3)).astype(np.float32)
@@ -45,6 +47,25 @@ def test_of_a_set_the_level_that_most_pairs_see_is_the_floor():
 
 def test_of_cameras_of_different_heights_the_mean_counts():
     assert floor_heights([(view(0.0), view(1.0, rise=0.2))]) == pytest.approx([HEIGHT + 0.1], rel=0.02)
+
+
+def depth_of(pose: Pose, level: float) -> DepthEstimate:
+    """What a camera measures of a floor at a level, with a box of 0.8 m in front, up to the horizon."""
+    rays = pixel_directions(*FLOOR_SIZE) @ pose.rotation.T
+    box = (np.abs(rays[..., 0]) < 0.3) & (rays[..., 2] < 0.0)
+    below = pose.position[1] - np.where(box, level + 0.8, level)
+    inverse_depth = (np.maximum(-rays[..., 1], 0.0) / below).astype(np.float32)
+    return DepthEstimate(inverse_depth, np.ones(FLOOR_SIZE, np.float32))
+
+
+def test_depth_shows_the_floor_if_both_panoramas_agree():
+    poses = [Pose(rotation_from_rotation_vector(np.array([0.2, k, 0.1])), np.array([0.0, y, 0.0])) for k, y in
+             enumerate((1.5, 1.7))]  # fmt: skip
+    first, second, lower = depth_of(poses[0], 0.0), depth_of(poses[1], 0.0), depth_of(poses[1], -0.4)
+    assert height_in_depth(tuple(poses), (first, second)) == pytest.approx(1.6, rel=0.01)
+    assert height_in_depth(tuple(poses), (first, lower)) is None
+    unknown = replace(second, confidence=np.zeros_like(second.confidence))
+    assert height_in_depth(tuple(poses), (first, unknown)) is None
 
 
 def test_without_a_floor_there_is_no_height():

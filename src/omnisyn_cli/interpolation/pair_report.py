@@ -21,7 +21,8 @@ from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.estimation import PairDiagnosis, PictureOptions, check_poses
 from omnisyn_cli.poses.file import PoseFile, distinct_names
-from omnisyn_cli.poses.registration.diagnosis_text import diagnosis_sentences
+from omnisyn_cli.poses.floor import height_in_depth
+from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, diagnosis_sentences
 from omnisyn_cli.types import View
 
 __all__ = ["write_pair_report"]
@@ -59,10 +60,16 @@ def _described(plan: TourPlan, pair: PairSurfaces, score: PairConfidence, diagno
     views = [surface.view for surface in pair.surfaces]
     kinds = _kinds(diagnosis)
     matched = (diagnosis.matches.first, diagnosis.matches.second)
+    first, second = pair.surfaces
+    height = height_in_depth((first.view.pose, second.view.pose), (first.depth, second.depth))
     verdict = list(TourSummary(plan, {}, {pair.index: score}).lines())[:2]  # the next one leads to this page
     return {
         "title": f"{diagnosis.first.name} and {diagnosis.second.name}",
-        "lines": [*verdict, *diagnosis_sentences(diagnosis.diagnosis)],
+        "lines": [
+            *verdict,
+            *diagnosis_sentences(diagnosis.diagnosis),
+            *([] if height is None else [camera_height_sentence(height)]),
+        ],
         "views": [
             {
                 "name": plan.job.images[surface.index].name,

@@ -29,6 +29,7 @@ from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
 from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.poses.floor import height_in_depth
 from omnisyn_cli.render.eyes import top_bottom
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
@@ -188,6 +189,9 @@ class _PairKeeper:
         if pair.prepared.triangles is not None:
             self.made.triangles[index] = pair.prepared.triangles
         self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
+        first, second = (entry.pose for entry in self._plan.entries[index : index + 2])
+        if (height := height_in_depth((first, second), pair.depths)) is not None:
+            self.made.camera_heights[index] = height
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.cross_check)
         self._loader.release_floats(index)

@@ -5,7 +5,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from omnisyn_cli.geometry.pose import interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
+from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, is_usual_camera_height
 
 __all__ = ["Summary", "TourSummary"]
 
@@ -49,17 +50,26 @@ class Made:
         triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the index of its
             first panorama; pairs without meshes are left out.
         infinitely_far: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
+        camera_heights: metres of the cameras above the floor, by the same index; pairs that show none are left out.
     """
 
     frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
     triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
     infinitely_far: dict[int, float] = field(default_factory=dict)
+    camera_heights: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def camera_height(self) -> float | None:
+        """The median of the pairs."""
+        return median(self.camera_heights.values()) if self.camera_heights else None
 
     def describe(self) -> dict[str, Any]:
         """As plain values."""
         triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
         far = [{"first": index, "share": round(share, 4)} for index, share in self.infinitely_far.items()]
-        return {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
+        heights = [{"first": index, "metres": round(height, 3)} for index, height in self.camera_heights.items()]
+        made = {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
+        return {**made, "camera_heights": heights}
 
     def lines(self) -> Iterator[str]:
         """For people."""
@@ -69,6 +79,8 @@ class Made:
             yield f"triangles drawn: {drawn / 1e6:.2f} of {every / 1e6:.2f} million"
         if self.infinitely_far:
             yield f"infinitely far: {fmean(self.infinitely_far.values()):.0%} of the sphere"
+        if self.camera_height is not None:
+            yield f"height of the cameras above the floor: {self.camera_height:.2f} m"
 
 
 @dataclass(frozen=True)
@@ -179,6 +191,13 @@ class Summary(TourSummary):
 
     plan: InterpolationPlan
     made: Made = field(default_factory=Made)
+
+    def lines(self) -> Iterator[str]:
+        """Also an unusual height of the cameras: distances are wrong then."""
+        yield from super().lines()
+        height = self.made.camera_height
+        if height is not None and not is_usual_camera_height(height):
+            yield camera_height_sentence(height)
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """The time in the video and the direction in its picture then."""

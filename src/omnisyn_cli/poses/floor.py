@@ -1,7 +1,8 @@
 """How high cameras stand above the floor: what a known height of the cameras makes metres of.
 
 Level planes below each pair are swept. Tables and beds are level as well, so the floor is the lowest one of those that
-fit about best. The sweeps of a set are added up: all pairs see one floor, but not one table.
+fit about best. The sweeps of a set are added up: all pairs see one floor, but not one table. Where depth is known, the
+levels of its points count instead.
 """
 
 import math
@@ -11,10 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.pose import at_same_position
+from omnisyn_cli.geometry.pose import Pose, at_same_position
+from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo.plane_sweep import AxisSweep, fit_plane, significant_support, sweep_directions
 from omnisyn_cli.stereo.rectify import rectify
-from omnisyn_cli.types import View
+from omnisyn_cli.types import DepthEstimate, View
+
+__all__ = ["FLOOR_SIZE", "floor_heights", "height_in_depth"]
 
 FLOOR_SIZE = (256, 512)
 """Height and width of the pair in which planes are found: twice that of the sweep, for the fit."""
@@ -27,7 +31,11 @@ FLANK_RATIO = 1.28
 """Of the heights of two planes, up to which the worse one is the flank of the better one: four steps of a sweep."""
 
 HEIGHT_STEP = 0.03
-"""Relative step at which the sweeps of all pairs are added: half of that of a sweep."""
+"""Relative step at which the sweeps of all pairs are added: half of that of a sweep. Also of levels in depth."""
+
+MIN_DEPRESSION_SINE, MIN_LEVEL_SHARE = 0.2, 0.15
+"""Sine of the angle (12°) below the horizon from which on depth says at which level a point is, and the share of what
+is below that the floor has to be."""
 
 SAME_FLOOR_RATIO = 1.13
 """Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres."""
@@ -90,14 +98,53 @@ def floor_heights(pairs: Sequence[tuple[View, View]]) -> list[float]:
     grid = np.arange(every.min() - HEIGHT_STEP, every.max() + 2.0 * HEIGHT_STEP, HEIGHT_STEP)
     # Support is constant beyond the ends of a sweep, so that none of them looks like a peak.
     support = np.sum([np.interp(grid, np.log(sweep.heights), sweep.support) for sweep in sweeps], axis=0)
+    floor = _lowest_level(grid, support)
+    measured = [] if floor is None else [sweep.height_above(floor) for sweep in sweeps]
+    return [height for height in measured if height is not None]
+
+
+def height_in_depth(poses: tuple[Pose, Pose], depths: tuple[DepthEstimate, DepthEstimate]) -> float | None:
+    """How high two cameras stand above the floor that depth shows, the mean; None unless both show the same."""
+    first, second = (_height_of_one(pose, depth) for pose, depth in zip(poses, depths, strict=True))
+    if first is None or second is None:
+        return None
+    rise = float(poses[1].position[1] - poses[0].position[1])
+    return 0.5 * (first + second) if _is_same(first + rise, second) else None
+
+
+def _height_of_one(pose: Pose, depth: DepthEstimate) -> float | None:
+    """How high a camera stands above the lowest level that much of its depth is at."""
+    step = max(1, depth.inverse_depth.shape[0] // FLOOR_SIZE[0])
+    inverse_depth, confidence = (
+        each[step // 2 :: step, step // 2 :: step] for each in (depth.inverse_depth, depth.confidence)
+    )
+    size = inverse_depth.shape
+    down = -(pixel_directions(*size) @ pose.rotation[1])
+    is_below = down > MIN_DEPRESSION_SINE
+    is_known = is_below & (inverse_depth > 0.0)
+    logs = np.log(down[is_known] / inverse_depth[is_known])
+    weight = (solid_angles(*size) * confidence)[is_known]
+    if not weight.sum() > 0.0:
+        return None
+    cells = np.floor(logs / HEIGHT_STEP).astype(int)
+    first = int(cells.min()) - 2
+    counts = np.convolve(np.bincount(cells - first, weight, cells.max() - first + 3), np.ones(3), "same")
+    floor = _lowest_level((np.arange(len(counts)) + first + 0.5) * HEIGHT_STEP, counts)
+    if floor is None:
+        return None
+    is_floor = _is_same(np.exp(logs), floor)
+    share = weight[is_floor].sum() / solid_angles(*size)[is_below].sum()
+    return float(np.exp(np.median(logs[is_floor]))) if share > MIN_LEVEL_SHARE else None
+
+
+def _lowest_level(logs: Float[np.ndarray, " levels"], support: Float[np.ndarray, " levels"]) -> float | None:
+    """Height of the lowest level that is supported about best, from logarithms of heights; None without a peak."""
     peaks = 1 + np.flatnonzero((support[1:-1] >= support[:-2]) & (support[1:-1] > support[2:]))
     if len(peaks) == 0:
-        return []
-    at, height = support[peaks], grid[peaks]
+        return None
+    at, height = support[peaks], logs[peaks]
     is_flank = (np.abs(height - height[:, None]) < math.log(FLANK_RATIO)) & (at > at[:, None])
-    floor = float(np.exp(height[(at >= MIN_FLOOR_SHARE * at.max()) & ~is_flank.any(axis=1)].max()))
-    measured = [sweep.height_above(floor) for sweep in sweeps]
-    return [height for height in measured if height is not None]
+    return float(np.exp(height[(at >= MIN_FLOOR_SHARE * at.max()) & ~is_flank.any(axis=1)].max()))
 
 
 def _half_rise(first: View, second: View) -> float:
