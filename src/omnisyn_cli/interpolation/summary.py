@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.pose import interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
-from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, is_usual_camera_height
+from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, is_plausible_camera_height
 
 __all__ = ["Summary", "TourSummary"]
 
@@ -196,7 +196,7 @@ class Summary(TourSummary):
         """Also an unusual height of the cameras: distances are wrong then."""
         yield from super().lines()
         height = self.made.camera_height
-        if height is not None and not is_usual_camera_height(height):
+        if height is not None and not is_plausible_camera_height(height):
             yield camera_height_sentence(height)
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:

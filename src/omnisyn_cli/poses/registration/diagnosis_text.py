@@ -8,7 +8,7 @@ import numpy as np
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, Explanation, Fit, Verdict
 from omnisyn_cli.poses.registration.robust import Estimate
 
-__all__ = ["camera_height_sentence", "diagnosis_sentences", "diagnosis_values", "is_usual_camera_height"]
+__all__ = ["camera_height_sentence", "diagnosis_sentences", "diagnosis_values", "is_plausible_camera_height"]
 
 PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)
 """Metres above the floor: from a tripod on the ground to the roof of a car."""
@@ -46,11 +46,11 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
 
 def camera_height_sentence(height: float) -> str:
     """What a height in metres above the floor says about the distances between cameras."""
-    doubt = "" if is_usual_camera_height(height) else ", which is unusual; are the distances in metres?"
+    doubt = "" if is_plausible_camera_height(height) else ", which is unusual; are the distances in metres?"
     return f"by these distances, the cameras are {height:.2f} m above the floor{doubt}"
 
 
-def is_usual_camera_height(height: float) -> bool:
+def is_plausible_camera_height(height: float) -> bool:
     """Whether cameras stand as high as that above the floor, in metres."""
     low, high = PLAUSIBLE_CAMERA_HEIGHTS
     return low <= height <= high
