@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -74,6 +75,16 @@ def test_the_height_of_the_camera_follows_from_the_distance_given(tmp_path: Path
     inverted = changed_file(STREET, tmp_path / "inverted.json", lambda pose: pose.inverse())
     (pair,) = json.loads(omnisyn.ended(1, "poses", "check", *pictures, "--poses", inverted, "--json").out)
     assert pair["camera_height"] is None
+
+
+def test_the_height_of_the_camera_gives_metres(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    pictures, output = (STREET / "first.jpg", STREET / "second.jpg"), tmp_path / "found.json"
+    omnisyn.made("poses", "estimate", *pictures, "--camera-height", 2.418, "-o", output)
+    lengths = [
+        np.linalg.norm(np.subtract(*(read_poses(file).of(picture.name).pose.position for picture in pictures)))
+        for file in (output, STREET / "poses.json")
+    ]
+    assert lengths[0] == pytest.approx(lengths[1], rel=0.02)
 
 
 def test_inverted_poses_are_named_with_figures_and_a_remedy(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
@@ -214,6 +225,15 @@ def test_interpolating_with_poses_from_the_pictures(tour: Path, tmp_path: Path, 
     given = ("--poses", tour / "poses.json", "--baseline", 2.5)
     assert "expected a baseline only where poses are found" in omnisyn.refused(*arguments, *given)
     assert "expected poses to refine" in omnisyn.refused(*arguments, "--poses", "auto", "--refine")
+
+
+def test_a_folder_is_walked_in_the_order_that_its_pictures_tell(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
+    folder, names = tmp_path / "folder", ("2.png", "3.png", "1.png")  # of the tour's first, second and third
+    folder.mkdir()
+    for image, name in zip(images(tour, 3), names, strict=True):
+        shutil.copy(image, folder / name)
+    words = ("interpolate", folder, "--poses", "auto", "-o", tmp_path / "out", "--codec", "png", "--dry-run")
+    assert "order: 1.png, 3.png, 2.png" in omnisyn.made(*words).err
 
 
 def test_interpolating_with_refined_poses(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
