@@ -65,6 +65,19 @@ def test_a_pair_that_is_shifted_along_repeated_tiles_is_dropped(shift, is_ordere
     assert agreeing_edges(right, rotations, is_ordered=is_ordered) == right
 
 
+@pytest.mark.parametrize("culprit", range(3))
+def test_of_pairs_that_contradict_the_one_with_matches_for_the_right_pose_is_dropped(culprit):
+    """Three pairs in a ring: each could be the shifted one, if the right matches of that were not still there."""
+    poses, pairs = chain(), [(0, 1), (1, 2), (0, 2)]
+    edges, moved = edges_of(poses, pairs), list(poses)
+    second = pairs[culprit][1]
+    moved[second] = replace(poses[second], position=poses[second].position + np.array([0.4, 0.0, 0.9]))
+    (wrong,) = edges_of(moved, [pairs[culprit]])
+    right = [edge for edge in edges if edge is not edges[culprit]]
+    edges[culprit] = replace(wrong, others=edges[culprit].matches)
+    assert agreeing_edges(edges, average_rotations(edges, range(3)), is_ordered=False) == right
+
+
 def test_who_is_connected_with_nobody_is_not_placed():
     assert placed_panoramas(edges_of(chain(), [(1, 2), (2, 4)]), 5) == [1, 2, 4]
     assert placed_panoramas([], 3) == [0]

@@ -248,7 +248,8 @@ def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edg
         if is_thorough:
             tried[pair] = len(matches)
         if estimate is not None:
-            edges.append(Edge(*pair, estimate, matches.select(estimate.inliers)))
+            agreeing, others = (matches.select(mask) for mask in (estimate.inliers, ~estimate.inliers))
+            edges.append(Edge(*pair, estimate, agreeing, others))
 
     neighbours = set(pairwise(range(count))) if is_ordered else set()
     for pair in sorted(wanted | neighbours):

@@ -81,7 +81,8 @@ class LevelSweep:
         up, inverse_distance = pair.grid.up, pair.baseline / (best - rise)
         stiffness = SLOPE_PIXELS / (FLOOR_SLOPE * inverse_distance) ** 2 * (np.eye(3) - np.outer(up, up))
         normal = fit_plane(sweep_directions(pair), -inverse_distance * up, stiffness)
-        measured = pair.baseline / max(-float(normal @ up), 1e-9) + rise  # straight below the first camera
+        # Straight below both cameras, as ground may slope; the second one is at (0, 1, 0) in the frame of the pair.
+        measured = pair.baseline * float(1.0 - 0.5 * normal[1]) / max(-float(normal @ up), 1e-9)
         return measured if _is_same(measured, floor) else None
 
 

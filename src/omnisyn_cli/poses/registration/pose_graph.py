@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_angle
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import Estimate
+from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 
 MIN_PARALLAX_PIXELS = 6.0
 """Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then."""
@@ -47,6 +47,9 @@ Right pairs are off by tenths of a degree."""
 CONTRADICTION_RATIO = 1.25
 """Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %."""
 
+MIN_OTHER_MATCHES = 15
+"""Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions."""
+
 Ratios = Mapping[tuple[int, int, int, int], tuple[float, int]]
 """Logarithm of the length of one pair over that of another, and how many points tell it, by their panoramas."""
 
@@ -59,12 +62,14 @@ class Edge:
         first, second: their indices.
         estimate: the relative pose.
         matches: those that agree with it.
+        others: those that do not, if they are kept.
     """
 
     first: int
     second: int
     estimate: Estimate
     matches: Matches
+    others: Matches | None = None
 
     @property
     def weight(self) -> int:
@@ -139,7 +144,8 @@ def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *
     """Those whose directions and ratios of lengths fit one set of positions.
 
     Repeated tiles shift a camera without turning it. While pairs contradict, the one without which fewest do is left
-    out. Of equal ones neighbours in an order stay, and then shorter ones: distant pairs are misled more easily.
+    out. Of equal ones it is the one whose other matches agree best with the pose that the rest implies. Then neighbours
+    in an order stay, and shorter pairs: distant ones are misled more easily.
 
     Args:
         edges: between panoramas that have rotations, which they connect.
@@ -156,13 +162,25 @@ def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *
             group = connected_with(rest, max(rotations) + 1)
             if {edge.first, edge.second} <= disputed and len({group[k] for k in rotations}) == 1:
                 positions, left = _positions_and_contradictions(rest, rotations, ratios)
+                step = rotations[edge.first].T @ (positions[edge.second] - positions[edge.first])
+                implied = Pose(rotations[edge.first].T @ rotations[edge.second], step)
                 is_neighbour = is_ordered and edge.second - edge.first == 1
-                length = float(np.linalg.norm(positions[edge.second] - positions[edge.first]))
-                options.append((int(left.sum()), is_neighbour, -length, rest, left))
+                preference = -_support_of_others(edge, implied), is_neighbour, -float(np.linalg.norm(step))
+                options.append((int(left.sum()), *preference, rest, left))
         if not options:
             break
-        *_, edges, contradicts = min(options, key=lambda option: option[:3])
+        *_, edges, contradicts = min(options, key=lambda option: option[:4])
     return edges
+
+
+def _support_of_others(edge: Edge, implied: Pose) -> int:
+    """How many of the matches that contradict a pair agree with another pose; 0 if they may do so by chance."""
+    length = float(np.linalg.norm(implied.position))
+    if edge.others is None or length == 0.0:
+        return 0
+    pose = Pose(implied.rotation, implied.position / length)
+    count = int(support_mask(pose, edge.others, inlier_threshold(edge.others)).sum())
+    return count if count >= MIN_OTHER_MATCHES else 0
 
 
 def _positions_and_contradictions(
