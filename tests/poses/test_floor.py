@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from registration_samples import street_image, street_poses
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_in_depth
+from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.types import DepthEstimate, View
 
 HEIGHT, TABLE_HEIGHT, TILE = 1.5, 0.75, 0.07
@@ -30,6 +32,12 @@ def view(x: float, rise: float = 0.0, table: tuple[float, float] | None = None, 
         cells = (np.floor(np.stack([across, along]) / TILE + 100.0 * level)).astype(int) % 256
         image[shown] = COLOURS[cells[0], cells[1]][shown]
     return View(image, pose)
+
+
+def test_the_ground_of_a_street_is_as_far_below_as_it_is():
+    ground, views = generate_scene("street", 101).ground, [View(street_image(k), street_poses()[k]) for k in range(2)]
+    height = float(np.mean([ground[:3] @ each.pose.position - ground[3] for each in views]))
+    assert floor_heights([(views[0], views[1])]) == pytest.approx([height], rel=0.03)
 
 
 def test_the_floor_is_found_below_a_table():

@@ -5,12 +5,9 @@ import pytest
 from registration_samples import street_image, street_poses, unit
 
 from omnisyn_cli.geometry.sphere import UP
-from omnisyn_cli.poses.floor import floor_distance
 from omnisyn_cli.poses.registration.features import grey_of
 from omnisyn_cli.poses.registration.gravity import find_lines, find_vertical
 from omnisyn_cli.poses.registration.least_squares import angle_between
-from omnisyn_cli.scenes import generate_scene
-from omnisyn_cli.types import View
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -41,11 +38,3 @@ def test_the_zenith_of_a_tilted_picture():
 def test_lines_where_a_panorama_may_not_be_used_do_not_count():
     grey = grey_of(street_image(0))
     assert len(find_lines(grey, np.zeros(grey.shape, bool))) == 0
-
-
-def test_the_floor_is_as_far_below_as_it_is():
-    ground = generate_scene("street", 101).ground
-    first, second = (View(street_image(k), street_poses()[k]) for k in range(2))
-    height = float(ground[:3] @ first.pose.position - ground[3])
-    assert floor_distance(first, second) == pytest.approx(height, rel=0.05)
-    assert floor_distance(first, first) is None

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from registration_samples import PIXEL, matches_of
+from registration_samples import PIXEL, matches_of, unit
 
 from confidence_samples import generated_views
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.poses.registration import scan as scans
 from omnisyn_cli.poses.registration.diagnosis import diagnose
 from omnisyn_cli.poses.registration.features import Matches
@@ -31,16 +32,20 @@ def test_pictures_agree_better_with_the_true_direction(room: tuple[View, View]) 
     assert dense_agreement(*room, pose) > 1.5 * dense_agreement(*room, opposite_of(pose))
 
 
-def test_an_estimate_of_the_opposite_direction_is_replaced(room: tuple[View, View]) -> None:
+@pytest.mark.parametrize("degrees", [180.0, 120.0])
+def test_an_estimate_of_a_direction_to_the_other_side_is_replaced(room: tuple[View, View], degrees: float) -> None:
     first, second = (scans.scan_panorama(view.image) for view in room)
     right, matches = scans.register_pair(first, second)
     assert right is not None
     agreed = np.flatnonzero(right.inliers)
-    wrong = replace(right, first_from_second=opposite_of(right.first_from_second), inliers=np.zeros(len(matches), bool))
+    pose = right.first_from_second
+    off = rotation_from_rotation_vector(np.radians(degrees) * unit(np.cross(pose.position, UP)))
+    moved = Pose(pose.rotation, off @ pose.position)
+    wrong = replace(right, first_from_second=moved, inliers=np.zeros(len(matches), bool))
     wrong.inliers[agreed[: len(agreed) // 3]] = True
     found = scans._with_right_direction(first, second, wrong, matches, None)
     assert found is not None
-    assert found.first_from_second.position @ right.first_from_second.position > np.cos(np.radians(2.0))
+    assert found.first_from_second.position @ pose.position > np.cos(np.radians(2.0))
     assert scans._with_right_direction(first, second, right, matches, None) is right
 
 

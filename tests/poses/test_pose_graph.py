@@ -54,14 +54,17 @@ def test_a_pair_that_contradicts_the_others_is_dropped():
 
 
 @pytest.mark.parametrize("is_ordered", [True, False])
-@pytest.mark.parametrize("shift", [-1.0, 0.3])
+@pytest.mark.parametrize("shift", [-1.0, 0.3, None])
 def test_a_pair_that_is_shifted_along_repeated_tiles_is_dropped(shift, is_ordered):
-    """It is not turned, and its matches agree; it stands on the other side, or nearer by so much of its distance."""
+    """It is not turned, and its matches agree; it stands on the other side, nearer, or seems to be in one place."""
     poses, pairs = chain(), [(0, 1), (1, 2), (2, 3), (3, 4), (0, 2), (2, 4)]
-    right, moved = edges_of(poses, pairs), [*poses[:4], replace(poses[4], position=shift * poses[4].position)]
-    wrong = edges_of(moved, [(0, 4)])
-    rotations = average_rotations([*right, *wrong], range(5))
-    assert agreeing_edges([*wrong, *right], rotations, is_ordered=is_ordered) == right
+    right, moved = edges_of(poses, pairs), [*poses[:4], replace(poses[4], position=(shift or 1.0) * poses[4].position)]
+    (wrong,) = edges_of(moved, [(0, 4)])
+    if shift is None:
+        turn = Pose(wrong.estimate.first_from_second.rotation, np.zeros(3))
+        wrong = replace(wrong, estimate=replace(wrong.estimate, first_from_second=turn, have_same_position=True))
+    rotations = average_rotations([*right, wrong], range(5))
+    assert agreeing_edges([wrong, *right], rotations, is_ordered=is_ordered) == right
     assert agreeing_edges(right, rotations, is_ordered=is_ordered) == right
 
 

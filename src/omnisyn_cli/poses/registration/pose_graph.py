@@ -47,6 +47,9 @@ Right pairs are off by tenths of a degree."""
 CONTRADICTION_RATIO = 1.25
 """Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %."""
 
+MAX_IN_PLACE_SHARE = 0.1
+"""Of the median distance of pairs: farther apart, two panoramas are not in one place."""
+
 MIN_OTHER_MATCHES = 15
 """Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions."""
 
@@ -144,8 +147,8 @@ def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *
     """Those whose directions and ratios of lengths fit one set of positions.
 
     Repeated tiles shift a camera without turning it. While pairs contradict, the one without which fewest do is left
-    out. Of equal ones it is the one whose other matches agree best with the pose that the rest implies. Then neighbours
-    in an order stay, and shorter pairs: distant ones are misled more easily.
+    out. Of equal ones neighbours in an order stay: distant pairs are misled more easily. Then it is the one whose other
+    matches agree best with the pose that the rest implies, or the longest one.
 
     Args:
         edges: between panoramas that have rotations, which they connect.
@@ -160,12 +163,12 @@ def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *
         for edge in edges:
             rest = [other for other in edges if other is not edge]
             group = connected_with(rest, max(rotations) + 1)
-            if {edge.first, edge.second} <= disputed and len({group[k] for k in rotations}) == 1:
+            if {edge.first, edge.second} & disputed and len({group[k] for k in rotations}) == 1:
                 positions, left = _positions_and_contradictions(rest, rotations, ratios)
                 step = rotations[edge.first].T @ (positions[edge.second] - positions[edge.first])
                 implied = Pose(rotations[edge.first].T @ rotations[edge.second], step)
                 is_neighbour = is_ordered and edge.second - edge.first == 1
-                preference = -_support_of_others(edge, implied), is_neighbour, -float(np.linalg.norm(step))
+                preference = is_neighbour, -_support_of_others(edge, implied), -float(np.linalg.norm(step))
                 options.append((int(left.sum()), *preference, rest, left))
         if not options:
             break
@@ -196,7 +199,8 @@ def _positions_and_contradictions(
     distance = np.maximum(np.linalg.norm(steps, axis=1), 1e-9)
     is_off = np.arctan2(across, along) > tolerance
     is_off |= is_told & (np.abs(np.log(distance / np.maximum(lengths, 1e-9))) > math.log(CONTRADICTION_RATIO))
-    return positions, is_off & (lengths > 0.0)
+    is_apart = distance > MAX_IN_PLACE_SHARE * np.median(lengths[lengths > 0.0]) if lengths.any() else is_off
+    return positions, np.where(lengths > 0.0, is_off, is_apart)
 
 
 def length_ratios(edges: Sequence[Edge]) -> Ratios:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.poses.registration.features import (
     Features,
     Matches,
@@ -40,8 +41,11 @@ ENOUGH_INLIERS = 60
 
 
 MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
-"""Share of its matches that the opposite of a direction needs to be tried, and how much better pictures have to agree
-with it: the true direction is ahead by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`)."""
+"""Share of its matches that a direction to the other side needs to be tried, and how much better pictures have to agree
+with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`)."""
+
+RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
+"""Directions to the other side that two matches each propose, and how many of the best are counted exactly."""
 
 LIKENESS_FEATURES = 600
 """Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take."""
@@ -120,11 +124,11 @@ def register_pair(
         verticals = first.vertical.up, second.vertical.up
     matches = match_features(first.features, second.features)
     estimate = estimate_relative_pose(matches, known, verticals)
-    is_enough = estimate is not None and (estimate.have_same_position or estimate.inliers.sum() >= ENOUGH_INLIERS)
+    is_enough = estimate is not None and estimate.inliers.sum() >= ENOUGH_INLIERS
     if is_enough or not is_thorough:
         kept = estimate if is_enough else None
         return _with_right_direction(first, second, kept, matches, verticals), matches
-    if estimate is not None:
+    if estimate is not None and not estimate.have_same_position:
         known = (*known, estimate.first_from_second)
     matches += match_levelled_features(first.levelled, second.levelled)
     estimate = estimate_relative_pose(matches, known, verticals)
@@ -134,19 +138,34 @@ def register_pair(
 def _with_right_direction(
     first: Scan, second: Scan, estimate: Estimate | None, matches: Matches, verticals: Verticals | None
 ) -> Estimate | None:
-    """The estimate; that of the opposite direction where the pictures agree better with it, or None without one.
+    """The estimate; that of a direction to the other side where the pictures agree better with it, or None without one.
 
     Repeated things can be matched to their neighbours, which are displaced the other way.
     """
     if estimate is None or estimate.have_same_position:
         return estimate
     pose = estimate.first_from_second
-    opposite = Pose(pose.rotation, -pose.position)
-    rivals = support_mask(opposite, matches, inlier_threshold(matches)) & ~estimate.inliers  # far ones agree with both
-    if int(rivals.sum()) < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
+    rival, support = _best_rival(pose, matches.select(~estimate.inliers))  # far ones agree with both
+    if support < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
         return estimate
-    agreement = [dense_agreement(first.view, second.view, each) for each in (pose, opposite)]
+    agreement = [dense_agreement(first.view, second.view, each) for each in (pose, rival)]
     if agreement[1] < MIN_AGREEMENT_RATIO * agreement[0]:
         return estimate
-    other = estimate_from_subset(matches, ~estimate.inliers, [opposite], verticals)
+    other = estimate_from_subset(matches, ~estimate.inliers, [rival], verticals)
     return None if other is None or other.have_same_position else other
+
+
+def _best_rival(pose: Pose, others: Matches) -> tuple[Pose, int]:
+    """The pose of the same rotation and a direction to the other side that most of other matches agree with."""
+    scale = inlier_threshold(others)
+    normals = np.cross(others.first, others.second @ pose.rotation.T)
+    pairs = np.random.default_rng(0).integers(max(len(normals), 1), size=(RIVAL_SAMPLES if len(normals) else 0, 2))
+    ways = np.cross(normals[pairs[:, 0]], normals[pairs[:, 1]])
+    ways = ways[np.linalg.norm(ways, axis=1) > scale**2]
+    ways = np.where((ways @ pose.position > 0.0)[:, None], -ways, ways)
+    ways = np.concatenate([-pose.position[None], np.asarray(normalize(ways))])
+    residual = np.abs(normals @ ways.T) / np.sqrt((1.0 - (others.first @ ways.T) ** 2).clip(scale**2))
+    best = np.argsort(-(residual < scale).sum(axis=0), kind="stable")[:RIVAL_CANDIDATES]
+    rivals = [Pose(pose.rotation, ways[k]) for k in sorted({0, *best.tolist()})]
+    support = [int(support_mask(rival, others, scale).sum()) for rival in rivals]
+    return rivals[int(np.argmax(support))], max(support)
