@@ -50,6 +50,9 @@ __all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "
 DEFAULT_BASELINE = 1.0
 """Metres between two panoramas where no baseline is given."""
 
+FLOOR_QUANTILE = 0.75
+"""Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it."""
+
 LIKE_PANORAMAS = 2
 """Of a set that each panorama is compared with, besides its neighbours: those that share most features."""
 
@@ -303,7 +306,7 @@ def _scale(
                 "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "
                 "distance between neighbours instead (--baseline)"
             )
-        height = float(np.median(heights))
+        height = float(np.quantile(heights, FLOOR_QUANTILE))
         spread = float(np.median(np.abs(np.array(heights) - height))) / height
         note = f"{camera_height:g} m above the floor, which {len(heights)} of {len(steps)} pairs see"
         return (
