@@ -12,16 +12,15 @@ from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction, feature_directions
-from omnisyn_cli.training.data import Augmentation, list_scene_files
+from omnisyn_cli.training.data import Augmentation, at_block_centres, list_scene_files
 from omnisyn_cli.training.guided_depth import (
     GuidedBatch,
     draw_guided,
-    facing_the_other,
     guided_loss,
     guided_scores,
 )
-from omnisyn_cli.training.simulated_matching import simulated_matching
-from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, save_walk
+from omnisyn_cli.training.pair_matching import facing_the_other, reduced_matching
+from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, matched_walk, save_walk
 
 
 def warped(batch, factor):
@@ -56,7 +55,7 @@ def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(
     for name, value in vars(one).items():
         assert torch.equal(value, getattr(same, name)), name
     assert one.first.shape == (2, 3, 32, 64)
-    assert one.guidance.shape == (2, 8, 8, 16)
+    assert one.guidance.shape == (2, 6, 8, 16)
     with pytest.raises(InputError, match="multiple of 48"):
         draw_guided(pool, np.random.default_rng(0), 1, (48, 96), 2.0)
 
@@ -77,7 +76,7 @@ def test_turning_towards_the_other_camera_moves_pictures_and_direction_alike(hea
     towards = rotation_from_heading(heading) @ np.array([0.0, 0.3, -1.0]) / math.hypot(1.0, 0.3)
     directions = pixel_directions(64, 128)
     images = np.stack([directions, directions]).astype(np.float32)
-    turned, _, ahead = facing_the_other(images, images[..., 0], towards)
+    turned, ahead = facing_the_other(images, towards)
     assert abs(math.atan2(ahead[0], -ahead[2])) <= math.pi / 128 + 1e-9
     expected = (pixel_directions(64, 128) @ ahead).reshape(64, 128)
     np.testing.assert_allclose(turned[0] @ towards, expected, atol=1e-6)
@@ -89,10 +88,9 @@ def prediction(sqrt_inv_depth, log_scale=-3.0):
 
 
 def batch_of(sqrt_inv_depth, ratio=0.4, is_mesh=True):
-    empty = torch.zeros(len(sqrt_inv_depth), 8, 1, 1)
-    return GuidedBatch(
-        empty, empty, empty, empty, sqrt_inv_depth, torch.full((len(sqrt_inv_depth),), ratio), torch.tensor([is_mesh])
-    )
+    empty, count = torch.zeros(len(sqrt_inv_depth), 6, 1, 1), len(sqrt_inv_depth)
+    shown = (empty, empty, empty, empty, empty[:, :1])
+    return GuidedBatch(*shown, sqrt_inv_depth, torch.full((count,), ratio), torch.tensor([is_mesh]))
 
 
 def test_the_truth_costs_nothing_but_its_doubt():
@@ -154,38 +152,44 @@ def test_kinds_and_meshes_are_checked_before_anything_is_made():
         WalkConfig(kinds=("mesh",)).check()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_simulated_matching_is_mostly_right_where_it_is_consistent_and_less_so_elsewhere(seed):
-    walk, rng = ball_walk(seed), np.random.default_rng(seed)
-    motion = walk.positions[1] - walk.positions[0]
-    baseline = float(np.linalg.norm(motion))
-    image, (own, other) = walk.images[0] / np.float32(255.0), (walk.inverse_depth[:2] * baseline).astype(np.float32)
-    own = np.where(rng.random(own.shape) < 0.05, np.float32(np.nan), own)
-    sqrt_inv_depth, valid, consistent, ratio = simulated_matching(image, own, other, motion / baseline, rng)
-    is_right = np.abs(sqrt_inv_depth - np.sqrt(own)) < 0.06 * np.sqrt(own)
-    assert 0.1 < consistent.mean() < 1.0
-    assert is_right[consistent > 0].mean() > max(0.8, is_right[(valid > 0) & (consistent == 0)].mean())
-    assert ratio[is_right & (consistent > 0)].mean() > ratio[valid > 0].min()
-    assert not sqrt_inv_depth[np.isnan(own)].any()
-    for channel in (sqrt_inv_depth, consistent, ratio):
-        assert not channel[valid == 0].any()
-    assert np.isfinite(sqrt_inv_depth).all()
+def test_matching_is_mostly_right_where_it_is_consistent_in_either_direction():
+    walk = matched_walk(ball_walk(0, size=(128, 256)), np.random.default_rng(0), is_exact=True)
+    assert sorted(map(tuple, walk.pairs.tolist())) == sorted((i, j) for i in range(3) for j in range(3) if i != j)
+    for (first, second), matching in zip(walk.pairs, walk.matching.astype(np.float32), strict=True):
+        motion = walk.positions[second] - walk.positions[first]
+        baseline = np.linalg.norm(motion)
+        truth, _ = facing_the_other(walk.inverse_depth[first][None], motion / baseline)
+        root = np.sqrt(at_block_centres(truth[0] * baseline, matching.shape[1:]))
+        is_right = np.abs(matching[0] - root) < 0.06 * root
+        assert is_right[matching[1] == 1.0].mean() > 0.8
+        assert (matching[1] == 1.0).mean() > 0.4
 
 
-def test_nothing_is_consistent_that_the_other_camera_cannot_see():
-    walk, rng = ball_walk(0), np.random.default_rng(0)
-    own = walk.inverse_depth[0].astype(np.float32)
-    in_front = np.full_like(own, 50.0)  # something right before the other camera
-    _, _, consistent, _ = simulated_matching(
-        walk.images[0] / np.float32(255.0), own, in_front, np.array([0.0, 0.0, -1.0]), rng
-    )
-    assert consistent.mean() < 0.2  # islands and borders that pass by mistake
+def test_the_best_match_of_a_cell_is_that_of_what_is_consistent_in_it():
+    matching = np.zeros((4, 2, 4), np.float32)
+    matching[0] = [[1.0, 3.0, 1.0, 3.0], [1.0, 3.0, 1.0, 3.0]]
+    matching[1, 0, 0] = 1.0
+    np.testing.assert_allclose(reduced_matching(matching, 2)[:2], [[[1.0, 2.0]], [[0.25, 0.0]]])
 
 
 def test_pairs_are_shown_with_guidance_as_often_as_asked_for(tmp_path):
-    pool = list_scene_files(make_walks(tmp_path, 2), "recipe")
-    batch = draw_guided(pool, np.random.default_rng(0), 40, (32, 64), 2.0, None, 0.5)
+    for seed in range(2):
+        walk = matched_walk(ball_walk(seed), np.random.default_rng(seed), is_exact=False)
+        save_walk(tmp_path / f"{seed}.npz", walk)
+    pool = list_scene_files(tmp_path, "recipe")
+    batch = draw_guided(pool, np.random.default_rng(0), 40, (32, 64), 2.0, Augmentation(), 0.5)
     is_guided = batch.guidance.flatten(1).any(dim=1)
     assert 10 <= int(is_guided.sum()) <= 30
-    assert (batch.guidance[is_guided][:, 6] == 1.0).all()
-    assert not batch.guidance[:, [4, 5, 7]].any()  # plane sweeps
+    assert (batch.guidance[is_guided][:, 5] == 1.0).all()
+    assert ((batch.unmatched >= 0) & (batch.unmatched <= 1)).all()
+
+
+def test_guidance_is_turned_with_the_picture(tmp_path):
+    """Where matching is consistent it has the depth that is taught, however the camera is held."""
+    save_walk(tmp_path / "0.npz", matched_walk(ball_walk(0, (128, 256)), np.random.default_rng(0), is_exact=True))
+    batch = draw_guided(
+        list_scene_files(tmp_path, "recipe"), np.random.default_rng(0), 12, (128, 256), 2.0, Augmentation(), 1.0
+    )
+    taught = functional.avg_pool2d(batch.sqrt_inv_depth, 4)
+    is_consistent = batch.guidance[:, 1:2] == 1.0
+    assert float(((batch.guidance[:, :1] / taught)[is_consistent] - 1.0).abs().median()) < 0.02

@@ -3,7 +3,7 @@
 Both panoramas are upright, turned so that the other camera is ahead (−z, up to the slope of the baseline). Features at
 a quarter of the size are correlated over spheres uniform in √(inverse depth × baseline). The costs are channels of a
 2-D U-net whose skips have the encoder's features, so that shape and texture decide where correlation cannot. Classical
-matching and plane sweeps may guide it: their maps are further channels, all zero where there are none.
+matching, planes among it, may guide it: its maps are further channels, all zero where there are none.
 
 It answers with √(inverse depth × baseline) at full size and with the scale of a Laplace distribution around it.
 
@@ -36,9 +36,10 @@ __all__ = [
 STRIDE = 4
 """Of the cost volume and of the guidance."""
 
-GUIDANCE_CHANNELS = 8
-"""Of matching: √(inverse depth × baseline), valid, left-right consistent, peak ratio. Of plane sweeps: the same and a
-score. Then whether there is matching, and whether there are plane sweeps. All is zero where there is none."""
+GUIDANCE_CHANNELS = 6
+"""√(inverse depth × baseline) of the best match, share of a cell that is left-right consistent, share that is sky, root
+of the filled map, the first of them where it is consistent, and whether there is guidance. All are zero where there is
+none."""
 
 FEATURE_SHIFT = -0.125
 """Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``."""
@@ -226,7 +227,7 @@ class GuidedDepthNetwork(Network):
         first: Float[Tensor, "batch 3 height width"],
         second: Float[Tensor, "batch 3 height width"],
         towards: Float[Tensor, "batch 3 1 1"],
-        guidance: Float[Tensor, "batch 8 rows cols"],
+        guidance: Float[Tensor, "batch 6 rows cols"],
     ) -> GuidedDepthPrediction:
         """The depth of ``first``.
 

@@ -69,10 +69,10 @@ def fill_with_planes(
         usable: False where the guide means nothing, so that its edges do not count; by default True everywhere.
 
     Returns:
-        Values between the least and the greatest with weight 1. Without any such pixel: zeros.
+        Values between the least and the greatest with weight 1. Without any such pixel above 0: zeros.
     """
     valid = weight >= 1.0
-    if not valid.any():
+    if not inverse_depth[valid].any():  # nothing is known, or all of it is infinitely far
         return np.zeros_like(inverse_depth, dtype=np.float32)
     low, high = float(inverse_depth[valid].min()), float(inverse_depth[valid].max())
     values = np.clip(inverse_depth, low, high)

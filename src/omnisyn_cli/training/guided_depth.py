@@ -1,7 +1,8 @@
 """What the guided depth network is shown, taught and judged by.
 
 A pair is two views of a walk, turned so that the other camera is ahead. Pairs of narrow, medium and wide baselines are
-drawn equally often, where a walk has them. Cameras are held slightly askew, and poses are slightly wrong, as in use.
+drawn equally often, where a walk has them. Cameras are held slightly askew, poses are slightly wrong, and some tripods
+are capped, as in use.
 """
 
 import math
@@ -12,16 +13,24 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
+from torch.nn import functional
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin, median_depth
+from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
 from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres, reduced, vary_colours
-from omnisyn_cli.training.simulated_matching import simulated_matching
-from omnisyn_cli.training.walks import Walk, load_walk
+from omnisyn_cli.training.pair_matching import (
+    DIRECTION_ERROR,
+    MATCHING_CHANNELS,
+    POSE_ERROR_SHARE,
+    TURN_ERROR,
+    facing_the_other,
+    reduced_matching,
+)
+from omnisyn_cli.training.walks import Walk, baseline_ratios, load_walk
 
 __all__ = ["GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
 
@@ -34,8 +43,8 @@ MIN_BASELINE_RATIO = 0.03
 TILT_SHARE, TILT = 0.35, 0.03
 """Share of the pairs whose cameras are held askew, and the standard deviation of pitch and roll, radians."""
 
-POSE_ERROR_SHARE, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
-"""Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians."""
+CAP_SHARE, CAP_RADII = 0.25, (4.0, 26.0)
+"""Share of the pairs with a cap of one colour at the nadir, and its least and greatest radius in degrees."""
 
 COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
 """Of the loss at coarse scales, of gradients and of the Laplace scale, beside 1. Set by hand."""
@@ -46,8 +55,8 @@ GRADIENT_SCALES = 4
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
 """Errors count more where √(inverse depth × baseline), s, is small: the weight is 1 + weight / (floor + s)."""
 
-MATCHING_CHANNELS, HAS_MATCHING = 4, 6
-"""Of the guidance: how many channels are of matching, and the one that says that they are there."""
+UNMATCHED_WEIGHT = 1.0
+"""Errors count more by this where matching found nothing consistent."""
 
 MIN_JUDGED = 0.03
 """√(inverse depth × baseline) below which nothing is judged by its ratio."""
@@ -60,7 +69,8 @@ class GuidedBatch:
     Attributes:
         first, second: ``(batch, 3, height, width)`` colours in [0, 1].
         towards: ``(batch, 3, 1, 1)`` unit vector to the other camera.
-        guidance: ``(batch, 8, height / 4, width / 4)``, see :data:`GUIDANCE_CHANNELS`.
+        guidance: ``(batch, 6, height / 4, width / 4)``, see :data:`GUIDANCE_CHANNELS`.
+        unmatched: ``(batch, 1, height / 4, width / 4)`` share that matching left open; 0 where nothing was matched.
         sqrt_inv_depth: ``(batch, 1, height, width)`` √(inverse depth × baseline); NaN where it is not known.
         ratio: ``(batch,)`` baseline over median depth.
         is_mesh: ``(batch,)`` whether the scene is a mesh.
@@ -69,7 +79,8 @@ class GuidedBatch:
     first: Float[Tensor, "batch 3 height width"]
     second: Float[Tensor, "batch 3 height width"]
     towards: Float[Tensor, "batch 3 1 1"]
-    guidance: Float[Tensor, "batch 8 rows cols"]
+    guidance: Float[Tensor, "batch 6 rows cols"]
+    unmatched: Float[Tensor, "batch 1 rows cols"]
     sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
     ratio: Float[Tensor, " batch"]
     is_mesh: Tensor
@@ -87,7 +98,8 @@ class _Pair:
     colours: Float32[np.ndarray, "2 height width 3"]
     inverse_depth: Float32[np.ndarray, "height width"]
     towards: Float[np.ndarray, " 3"]
-    guidance: Float32[np.ndarray, "8 rows cols"]
+    guidance: Float32[np.ndarray, "6 rows cols"]
+    unmatched: Float32[np.ndarray, "rows cols"]
     ratio: float
     is_mesh: bool
 
@@ -110,7 +122,7 @@ def draw_guided(
         size: ``(height, width)``, a whole fraction of the pool's.
         max_sqrt_inv_depth: that targets are clipped to.
         augmentation: of colours; without one, nothing is varied and poses are exact.
-        guided: share of the pairs that are shown with what matching would say.
+        guided: share of the pairs that are shown with what matching says.
 
     Raises:
         InputError: the pool's size is not a multiple of ``size``.
@@ -125,6 +137,7 @@ def draw_guided(
         second=as_tensor(colours[:, 1]),
         towards=torch.tensor(np.stack([pair.towards for pair in drawn]), dtype=torch.float32)[..., None, None],
         guidance=torch.from_numpy(np.stack([pair.guidance for pair in drawn])),
+        unmatched=torch.from_numpy(np.stack([pair.unmatched for pair in drawn])).unsqueeze(1),
         sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
         ratio=torch.tensor([pair.ratio for pair in drawn]),
         is_mesh=torch.tensor([pair.is_mesh for pair in drawn]),
@@ -137,73 +150,68 @@ def _draw_pair(
     rows = walk.images.shape[1]
     if rows % size[0]:
         raise InputError(f"expected walks of a multiple of {size[0]} rows, got {rows}; make others")
-    first, second, ratio = _choose(walk, rng)
+    is_guided = len(walk.pairs) > 0 and rng.random() < guided
+    first, second, ratio = _choose(walk, rng, is_guided)
     images, inverse_depths = walk.images[[first, second]], walk.inverse_depth[[first, second]]
     motion = walk.positions[second].astype(np.float64) - walk.positions[first]
     baseline = float(np.linalg.norm(motion))
     towards = motion / baseline
+    matching = _stored_matching(walk, first, second)
+    inverse_depths, _ = facing_the_other(inverse_depths, towards)
+    images, towards = facing_the_other(images, towards)
     if rng.random() < 0.5:
-        images, inverse_depths = images[:, :, ::-1], inverse_depths[:, :, ::-1]
+        images, inverse_depths, matching = images[:, :, ::-1], inverse_depths[:, :, ::-1], matching[..., ::-1]
         towards = towards * [-1.0, 1.0, 1.0]
-    images, inverse_depths, towards = facing_the_other(images, inverse_depths, towards)
     if augmentation is not None:
-        images, inverse_depths, towards = _held_by_hand(images, inverse_depths, towards, rng)
+        images, inverse_depths, matching, towards = _held_by_hand(images, inverse_depths, matching, towards, rng)
     colours = np.stack([reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
-        colours = vary_colours(colours, rng, augmentation)
-    scaled = inverse_depths * np.float32(baseline)
-    guidance = np.zeros((GUIDANCE_CHANNELS, size[0] // STRIDE, size[1] // STRIDE), np.float32)
-    if rng.random() < guided:
-        guidance[:MATCHING_CHANNELS] = _matching(colours[0], scaled, towards, rng)
-        guidance[HAS_MATCHING] = 1.0
-    return _Pair(colours, at_block_centres(scaled[0], size), towards, guidance, ratio, walk.is_mesh)
+        colours = _with_cap(vary_colours(colours, rng, augmentation), rng)
+    matching = reduced_matching(matching, matching.shape[1] * STRIDE // size[0])
+    unmatched = 1.0 - np.minimum(matching[1] + matching[2], 1.0)
+    guidance = np.zeros((GUIDANCE_CHANNELS, *matching.shape[1:]), np.float32)
+    if is_guided:
+        guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
+    has_matching = np.float32(bool(matching.any()))
+    inverse_depth = at_block_centres(inverse_depths[0] * np.float32(baseline), size)
+    return _Pair(colours, inverse_depth, towards, guidance, unmatched * has_matching, ratio, walk.is_mesh)
 
 
-def _matching(
-    colours: Float32[np.ndarray, "height width 3"],
-    inverse_depths: Float32[np.ndarray, "2 height width"],
-    towards: Float[np.ndarray, " 3"],
-    rng: np.random.Generator,
-) -> Float32[np.ndarray, "4 rows cols"]:
-    """What matching would say, at the size of the guidance."""
-    rows, cols = colours.shape[0] // STRIDE, colours.shape[1] // STRIDE
-    own, other = (at_block_centres(each, (rows, cols)) for each in inverse_depths)
-    return simulated_matching(reduced(colours, (rows, cols)), own, other, towards, rng)
+def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray, "4 rows cols"]:
+    """What matching says of a pair, the other camera ahead; zeros if it was not matched."""
+    found = np.flatnonzero((walk.pairs == (first, second)).all(axis=1))
+    if len(found):
+        return np.asarray(walk.matching[found[0]], np.float32)
+    height, width = walk.images.shape[1:3]
+    return np.zeros((MATCHING_CHANNELS, height // STRIDE, width // STRIDE), np.float32)
 
 
-def _choose(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
+def _choose(walk: Walk, rng: np.random.Generator, is_guided: bool) -> tuple[int, int, float]:
     """Two views, and their baseline over the median depth of the first; all bins that there are equally often."""
-    median = [median_depth(inverse_depth) for inverse_depth in walk.inverse_depth]
-    distances = np.linalg.norm(walk.positions[:, None] - walk.positions[None], axis=-1)
-    found = [
-        (first, second, float(distances[first, second] / median[first]))
-        for first in range(len(median))
-        for second in range(len(median))
-        if first != second
-    ]
+    ratios = baseline_ratios(walk.inverse_depth, walk.positions)
+    pairs = walk.pairs.tolist() if is_guided else np.argwhere(~np.eye(len(ratios), dtype=bool)).tolist()
+    found = [(first, second, float(ratios[first, second])) for first, second in pairs]
     in_range = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found
     bins = {name: [pair for pair in in_range if baseline_bin(pair[2]) == name] for name in BASELINE_BINS}
     filled = [pairs for pairs in bins.values() if pairs]
-    pairs = filled[rng.integers(len(filled))]
-    return pairs[rng.integers(len(pairs))]
+    chosen = filled[rng.integers(len(filled))]
+    return chosen[rng.integers(len(chosen))]
 
 
-def facing_the_other(
-    images: np.ndarray, inverse_depths: np.ndarray, towards: Float[np.ndarray, " 3"]
-) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, " 3"]]:
-    """Rolled by whole columns so that the other camera is ahead, and the direction to it in that frame."""
-    width = images.shape[2]
-    heading = math.atan2(towards[0], -towards[2])
-    columns = round(heading / (2.0 * math.pi) * width)
-    turn = columns / width * 2.0 * math.pi
-    cosine, sine = math.cos(turn), math.sin(turn)
-    ahead = np.array([cosine * towards[0] + sine * towards[2], towards[1], cosine * towards[2] - sine * towards[0]])
-    return np.roll(images, -columns, axis=2), np.roll(inverse_depths, -columns, axis=2), ahead
+def _with_cap(
+    colours: Float32[np.ndarray, "2 height width 3"], rng: np.random.Generator
+) -> Float32[np.ndarray, "2 height width 3"]:
+    """Both pictures, some with a tripod's cap of one colour each."""
+    if rng.random() < CAP_SHARE:
+        rows = colours.shape[1]
+        first_row = round(rows * (1.0 - rng.uniform(*CAP_RADII) / 180.0))
+        colours[:, first_row:] = (0.7 * rng.random((2, 1, 1, 1)) + 0.3 * rng.random((2, 1, 1, 3))).astype(np.float32)
+    return colours
 
 
 def _held_by_hand(
-    images: np.ndarray, inverse_depths: np.ndarray, towards: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    images: np.ndarray, inverse_depths: np.ndarray, matching: np.ndarray, towards: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Cameras not quite upright, and poses not quite right."""
     is_tilted, is_misplaced = rng.random() < TILT_SHARE, rng.random() < POSE_ERROR_SHARE
     tilt = rng.normal(0.0, TILT, 3) * [1.0, 0.0, 1.0] * is_tilted
@@ -213,11 +221,13 @@ def _held_by_hand(
     first, second = zip(images, inverse_depths, strict=True)
     if is_tilted:
         first = _turned(*first, held)
+        table = RemapTable.for_directions(pixel_directions(*matching.shape[1:]) @ held.T, matching.shape[1:])
+        matching = np.stack([table.nearest(np.ascontiguousarray(each)) for each in matching])
     if is_tilted or is_misplaced:
         second = _turned(*second, held @ rotation_from_rotation_vector(error))
     noisy_direction = held.T @ towards + wrong
     pictures, depths = zip(first, second, strict=True)
-    return np.stack(pictures), np.stack(depths), noisy_direction / np.linalg.norm(noisy_direction)
+    return np.stack(pictures), np.stack(depths), matching, noisy_direction / np.linalg.norm(noisy_direction)
 
 
 def _turned(image: np.ndarray, inverse_depth: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -232,7 +242,9 @@ def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor
     Errors are weighted by solid angle. The Laplace scale learns from errors that it cannot change.
     """
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth).float()
+    unmatched = functional.interpolate(batch.unmatched, size=target.shape[-2:], mode="nearest")
     weight = known * polar_weights(target) * (1.0 + RELATIVE_WEIGHT / (RELATIVE_FLOOR + target))
+    weight = weight * (1.0 + UNMATCHED_WEIGHT * unmatched)
     error = _signed_error(prediction.estimate, target)
     loss = _weighted_mean(error.abs(), weight) + GRADIENT_WEIGHT * _gradient_error(error, known)
     for coarse in prediction.coarse:

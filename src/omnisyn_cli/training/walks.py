@@ -5,20 +5,24 @@ A walk is a file ``NNNNNNNN.npz``:
 * ``images`` ``(views, height, width, 3)`` uint8, upright, all with the same heading,
 * ``inverse_depth`` ``(views, height, width)`` float16, 1/metre, 0 = nothing there,
 * ``positions`` ``(views, 3)`` float32, metres, y up,
-* ``is_mesh``: whether it is of a mesh.
+* ``is_mesh``: whether it is of a mesh,
+* ``pairs`` ``(pairs, 2)`` int8: views that were matched, both ways round,
+* ``matching`` ``(pairs, 4, height / 4, width / 4)`` float16: what matching says of the first of two, turned so that the
+  other camera is ahead, see :mod:`omnisyn_cli.training.pair_matching`.
 
 Any two views are a pair. Equal seeds, textures and meshes make equal files.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float16, Float32, Int8, UInt8
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.grouping import median_depth
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.io import read_photographs
@@ -33,8 +37,20 @@ from omnisyn_cli.scenes.mesh import (
     varied_mesh,
 )
 from omnisyn_cli.training.data import save_arrays
+from omnisyn_cli.training.pair_matching import match_views, views_to_match
 
-__all__ = ["MESH", "MeshSource", "Walk", "WalkConfig", "load_walk", "make_walk", "mesh_walk", "save_walk"]
+__all__ = [
+    "MESH",
+    "MeshSource",
+    "Walk",
+    "WalkConfig",
+    "baseline_ratios",
+    "load_walk",
+    "make_walk",
+    "matched_walk",
+    "mesh_walk",
+    "save_walk",
+]
 
 MESH = "mesh"
 """Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`."""
@@ -63,6 +79,10 @@ class Walk:
     inverse_depth: Float[np.ndarray, "views height width"]
     positions: Float32[np.ndarray, "views 3"]
     is_mesh: bool
+    pairs: Int8[np.ndarray, "pairs 2"] = field(default_factory=lambda: np.zeros((0, 2), np.int8))
+    matching: Float16[np.ndarray, "pairs 4 rows cols"] = field(
+        default_factory=lambda: np.zeros((0, 4, 1, 2), np.float16)
+    )
 
 
 @dataclass(frozen=True)
@@ -150,6 +170,8 @@ def save_walk(path: Path, walk: Walk) -> None:
         "inverse_depth": walk.inverse_depth.astype(np.float16),
         "positions": walk.positions.astype(np.float32),
         "is_mesh": np.array(walk.is_mesh),
+        "pairs": walk.pairs,
+        "matching": walk.matching,
     }
     save_arrays(path, arrays)
 
@@ -157,7 +179,8 @@ def save_walk(path: Path, walk: Walk) -> None:
 def load_walk(path: Path) -> Walk:
     """Read one file of a pool."""
     with np.load(path) as file:
-        return Walk(file["images"], file["inverse_depth"].astype(np.float32), file["positions"], bool(file["is_mesh"]))
+        inverse_depth, is_mesh = file["inverse_depth"].astype(np.float32), bool(file["is_mesh"])
+        return Walk(file["images"], inverse_depth, file["positions"], is_mesh, file["pairs"], file["matching"])
 
 
 def make_walk(seed: int, config: WalkConfig) -> Walk:
@@ -171,8 +194,35 @@ def make_walk(seed: int, config: WalkConfig) -> Walk:
     for attempt in range(ATTEMPTS):
         walk = make(kind, seed, attempt, config)
         if walk is not None:
-            return walk
+            return matched_walk(walk, np.random.default_rng([23, seed]), is_exact=config.is_held_out)
     raise InputError(f"expected room for a walk in {kind} scenes near seed {seed}, found none in {ATTEMPTS} attempts")
+
+
+def matched_walk(walk: Walk, rng: np.random.Generator, *, is_exact: bool) -> Walk:
+    """A walk with what matching says of some of its pairs.
+
+    Args:
+        walk: without.
+        rng: which pairs, and what is not quite right in them.
+        is_exact: whether colours and poses are as they are.
+    """
+    pairs, found = list[tuple[int, int]](), []
+    for first, second in views_to_match(baseline_ratios(walk.inverse_depth, walk.positions), rng):
+        motion = walk.positions[second].astype(np.float64) - walk.positions[first]
+        found += list(match_views(walk.images[[first, second]], motion, None if is_exact else rng))
+        pairs += [(first, second), (second, first)]
+    if not pairs:
+        return walk
+    return replace(walk, pairs=np.array(pairs, np.int8), matching=np.stack(found).astype(np.float16))
+
+
+def baseline_ratios(
+    inverse_depth: Float[np.ndarray, "views height width"], positions: Float32[np.ndarray, "views 3"]
+) -> Float[np.ndarray, "views views"]:
+    """Distance of any two views over the median depth of the first one."""
+    depths = np.array([median_depth(each) for each in inverse_depth])
+    distances = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    return np.asarray(distances / depths[:, None])
 
 
 def _procedural_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk | None:

@@ -37,7 +37,7 @@ LEVEL = 0.8
 NEAR_MEDIAN = 0.6
 """Metres: places whose median distance is less are inside of things."""
 
-BASELINES = (0.12, 1.6)
+BASELINES = (0.12, 2.4)
 """Of walks, in median distances."""
 
 LONGEST_WALK = 12.0
