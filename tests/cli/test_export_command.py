@@ -83,7 +83,7 @@ def test_places_that_do_not_fit_are_refused_before_any_work(
 def test_a_missing_pose_and_a_single_panorama_are_named(walk: list[Path], tmp_path: Path, omnisyn: Omnisyn) -> None:
     other = Path(shutil.copy(walk[0], walk[0].with_name("other one.png")))
     assert "other one.png" in omnisyn.refused(*words([*walk, other], tmp_path / "x.glb"))
-    assert "two or more panoramas, got 1" in omnisyn.refused(*words(walk[:1], tmp_path / "x.glb"))
+    assert "two or more panoramas or a folder of them, got one" in omnisyn.refused(*words(walk[:1], tmp_path / "x.glb"))
     omnisyn.misused(*words(walk, tmp_path / "x.glb", "--cut", 0.1, "--cut-metres", 1))
 
 

@@ -265,6 +265,13 @@ def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_bring
     assert "a guess" in str(choice)
 
 
+def test_the_fastest_preset_is_the_first_of_the_scale_whatever_runs_are_remembered(plan, monkeypatch):
+    """A run of ``fast`` on a busy machine does not make ``balanced`` the fastest."""
+    known = {"fast": replace(expected(plan), seconds=9.0), "balanced": replace(expected(plan), seconds=7.0)}
+    monkeypatch.setattr(budget, "expected_duration", lambda other, table: known[other.job.preset])
+    assert choose_preset(plan, TABLE_NAME, 1.0).preset == "fast"
+
+
 def test_a_preset_that_is_slower_and_worse_is_never_chosen(plan):
     choice = choose_preset(plan, [TABLE_NAME[0], replace(TABLE_NAME[1], scores={"a": 24.0})], 1e9)
     assert (choice.preset, choice.more) == ("fast", "")

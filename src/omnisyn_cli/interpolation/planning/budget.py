@@ -108,11 +108,8 @@ def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: flo
     if not expected:
         raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")
     fitting = [name for name, duration in expected.items() if duration.seconds <= budget]
-    chosen = (
-        max(fitting, key=lambda name: quality(measured[name]))
-        if fitting
-        else min(expected, key=lambda name: expected[name].seconds)
-    )
+    fastest = next(iter(expected))  # by the scale: runs that are remembered may be of one preset, on a busy machine
+    chosen = max(fitting, key=lambda name: quality(measured[name]), default=fastest)
     best = max(expected, key=lambda name: quality(measured[name]))
     return Choice(chosen, expected, budget, "" if best == chosen else _more(best, expected, measured, chosen))
 
