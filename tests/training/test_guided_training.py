@@ -18,6 +18,7 @@ from omnisyn_cli.training.guided_depth import (
     draw_guided,
     guided_loss,
     guided_scores,
+    with_cap,
 )
 from omnisyn_cli.training.pair_matching import facing_the_other, reduced_matching
 from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, matched_walk, save_walk
@@ -100,6 +101,24 @@ def test_the_truth_costs_nothing_but_its_doubt():
     assert float(guided_loss(prediction(sqrt_inv_depth + 0.1), batch_of(sqrt_inv_depth))) > 0.1
     below_zero, sky = torch.full((1, 1, 32, 64), -0.2), torch.zeros(1, 1, 32, 64)
     assert float(guided_loss(prediction(below_zero), batch_of(sky))) == pytest.approx(doubt, abs=1e-6)
+
+
+def test_errors_count_twice_where_matching_left_depth_open():
+    sqrt_inv_depth = torch.full((1, 1, 32, 64), 0.5)
+    guess = prediction(torch.where(torch.arange(64) < 32, sqrt_inv_depth + 0.1, sqrt_inv_depth))
+    unmatched = (torch.arange(16) < 8).float().expand(1, 1, 8, 16)
+    plain = batch_of(sqrt_inv_depth)
+    losses = [
+        float(guided_loss(guess, replace(plain, unmatched=each))) for each in (unmatched, 0 * unmatched, 1 - unmatched)
+    ]
+    assert losses[0] > losses[1] > losses[2]
+
+
+def test_caps_are_at_the_nadir_of_both_pictures_of_a_quarter_of_the_pairs():
+    black, rng = np.zeros((2, 64, 128, 3), np.float32), np.random.default_rng(0)
+    is_capped = np.array([with_cap(black.copy(), rng).any(axis=-1).all(axis=(0, 2)) for _ in range(400)])
+    assert 0.2 < is_capped[:, -1].mean() < 0.3
+    assert not is_capped[:, : 64 - round(64 * 26 / 180) - 1].any()
 
 
 def test_nothing_is_taught_where_the_truth_is_not_known_and_gradients_are_finite():

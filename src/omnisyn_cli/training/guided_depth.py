@@ -152,28 +152,28 @@ def _draw_pair(
         raise InputError(f"expected walks of a multiple of {size[0]} rows, got {rows}; make others")
     is_guided = len(walk.pairs) > 0 and rng.random() < guided
     first, second, ratio = _choose(walk, rng, is_guided)
-    images, inverse_depths = walk.images[[first, second]], walk.inverse_depth[[first, second]]
+    images, inverse_depth = walk.images[[first, second]], walk.inverse_depth[[first]]
     motion = walk.positions[second].astype(np.float64) - walk.positions[first]
     baseline = float(np.linalg.norm(motion))
     towards = motion / baseline
     matching = _stored_matching(walk, first, second)
-    inverse_depths, _ = facing_the_other(inverse_depths, towards)
+    (inverse_depth,), _ = facing_the_other(inverse_depth, towards)
     images, towards = facing_the_other(images, towards)
     if rng.random() < 0.5:
-        images, inverse_depths, matching = images[:, :, ::-1], inverse_depths[:, :, ::-1], matching[..., ::-1]
+        images, inverse_depth, matching = images[:, :, ::-1], inverse_depth[:, ::-1], matching[..., ::-1]
         towards = towards * [-1.0, 1.0, 1.0]
     if augmentation is not None:
-        images, inverse_depths, matching, towards = _held_by_hand(images, inverse_depths, matching, towards, rng)
+        images, inverse_depth, matching, towards = _held_by_hand(images, inverse_depth, matching, towards, rng)
     colours = np.stack([reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
-        colours = _with_cap(vary_colours(colours, rng, augmentation), rng)
+        colours = with_cap(vary_colours(colours, rng, augmentation), rng)
     matching = reduced_matching(matching, matching.shape[1] * STRIDE // size[0])
     unmatched = 1.0 - np.minimum(matching[1] + matching[2], 1.0)
     guidance = np.zeros((GUIDANCE_CHANNELS, *matching.shape[1:]), np.float32)
     if is_guided:
         guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
     has_matching = np.float32(bool(matching.any()))
-    inverse_depth = at_block_centres(inverse_depths[0] * np.float32(baseline), size)
+    inverse_depth = at_block_centres(inverse_depth * np.float32(baseline), size)
     return _Pair(colours, inverse_depth, towards, guidance, unmatched * has_matching, ratio, walk.is_mesh)
 
 
@@ -198,7 +198,7 @@ def _choose(walk: Walk, rng: np.random.Generator, is_guided: bool) -> tuple[int,
     return chosen[rng.integers(len(chosen))]
 
 
-def _with_cap(
+def with_cap(
     colours: Float32[np.ndarray, "2 height width 3"], rng: np.random.Generator
 ) -> Float32[np.ndarray, "2 height width 3"]:
     """Both pictures, some with a tripod's cap of one colour each."""
@@ -210,7 +210,7 @@ def _with_cap(
 
 
 def _held_by_hand(
-    images: np.ndarray, inverse_depths: np.ndarray, matching: np.ndarray, towards: np.ndarray, rng: np.random.Generator
+    images: np.ndarray, inverse_depth: np.ndarray, matching: np.ndarray, towards: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Cameras not quite upright, and poses not quite right."""
     is_tilted, is_misplaced = rng.random() < TILT_SHARE, rng.random() < POSE_ERROR_SHARE
@@ -218,22 +218,23 @@ def _held_by_hand(
     error = rng.normal(0.0, TURN_ERROR, 3) * is_misplaced
     wrong = rng.normal(0.0, DIRECTION_ERROR, 3) * is_misplaced
     held = rotation_from_rotation_vector(tilt)
-    first, second = zip(images, inverse_depths, strict=True)
+    first, second = images
     if is_tilted:
-        first = _turned(*first, held)
-        table = RemapTable.for_directions(pixel_directions(*matching.shape[1:]) @ held.T, matching.shape[1:])
+        first = _turned(first.shape[:2], held).bilinear(np.ascontiguousarray(first))
+        inverse_depth = _turned(inverse_depth.shape, held).nearest(np.ascontiguousarray(inverse_depth))
+        table = _turned(matching.shape[1:], held)
         matching = np.stack([table.nearest(np.ascontiguousarray(each)) for each in matching])
     if is_tilted or is_misplaced:
-        second = _turned(*second, held @ rotation_from_rotation_vector(error))
+        turn = held @ rotation_from_rotation_vector(error)
+        second = _turned(second.shape[:2], turn).bilinear(np.ascontiguousarray(second))
     noisy_direction = held.T @ towards + wrong
-    pictures, depths = zip(first, second, strict=True)
-    return np.stack(pictures), np.stack(depths), matching, noisy_direction / np.linalg.norm(noisy_direction)
+    return np.stack([first, second]), inverse_depth, matching, noisy_direction / np.linalg.norm(noisy_direction)
 
 
-def _turned(image: np.ndarray, inverse_depth: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A view as a camera turned by a rotation would have it."""
-    table = RemapTable.for_directions(pixel_directions(*inverse_depth.shape) @ rotation.T, inverse_depth.shape)
-    return table.bilinear(np.ascontiguousarray(image)), table.nearest(np.ascontiguousarray(inverse_depth))
+def _turned(size: tuple[int, ...], rotation: np.ndarray) -> RemapTable:
+    """Where a camera turned by a rotation sees what one of this size shows."""
+    height, width = size
+    return RemapTable.for_directions(pixel_directions(height, width) @ rotation.T, (height, width))
 
 
 def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor:

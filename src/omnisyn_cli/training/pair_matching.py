@@ -101,13 +101,8 @@ def facing_the_other(
 ) -> tuple[np.ndarray, Float[np.ndarray, " 3"]]:
     """Rolled by whole columns so that the other camera is ahead, and the direction to it in that frame."""
     width = images.shape[2]
-    columns = columns_ahead(towards, width)
+    columns = round(math.atan2(towards[0], -towards[2]) / (2.0 * math.pi) * width)
     turn = columns / width * 2.0 * math.pi
     cosine, sine = math.cos(turn), math.sin(turn)
     ahead = np.array([cosine * towards[0] + sine * towards[2], towards[1], cosine * towards[2] - sine * towards[0]])
     return np.roll(images, -columns, axis=2), ahead
-
-
-def columns_ahead(towards: Float[np.ndarray, " 3"], width: int) -> int:
-    """Whole columns from the middle of a panorama to a direction."""
-    return round(math.atan2(towards[0], -towards[2]) / (2.0 * math.pi) * width)
