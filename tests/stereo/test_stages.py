@@ -6,7 +6,14 @@ from stereo_samples import OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.stereo.costs import census_transform, cost_volume, surface_cost
+from omnisyn_cli.stereo.costs import (
+    CENSUS_NOISE,
+    INVALID_COST,
+    OUT_OF_VIEW_COST,
+    census_transform,
+    cost_volume,
+    surface_cost,
+)
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
@@ -66,6 +73,16 @@ def test_census_knows_order_only_and_no_seam() -> None:
     assert same.mean() > 0.99
 
 
+def test_bits_of_a_signature_are_neighbours_row_after_row() -> None:
+    grey = RNG.random((9, 11)).astype(np.float32)
+    windows = np.pad(np.pad(grey, ((3, 3), (0, 0)), mode="edge"), ((0, 0), (3, 3)), mode="wrap")
+    expected = np.zeros(grey.shape, np.uint64)
+    for k in [k for k in range(49) if k != 24]:
+        brighter = windows[k // 7 :, k % 7 :][:9, :11] > grey + CENSUS_NOISE
+        expected = (expected << np.uint64(1)) | brighter.astype(np.uint64)
+    np.testing.assert_array_equal(census_transform(grey), expected)
+
+
 def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
     first, second = RNG.random((2, *SMALL, 3)).astype(np.float32)
     usable, zero = np.ones(SMALL, bool), np.zeros(SMALL, np.float32)
@@ -74,6 +91,25 @@ def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
     surface = surface_cost(first, census_transform(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
     inside = slice(4, SMALL[0] - 10)
     np.testing.assert_allclose(surface[inside], sweep[inside, :, 4] / FIXED_POINT_SCALE, atol=0.6 / FIXED_POINT_SCALE)
+
+
+def test_a_surface_costs_what_plain_loops_say() -> None:
+    size = (12, 9)
+    first, second = RNG.random((2, *size, 3)).astype(np.float32)
+    usable, disparity = RNG.random(size) > 0.1, RNG.uniform(-2.0, 12.0, size).astype(np.float32)
+    warped, seen = np.zeros_like(first), np.zeros(size, bool)
+    for row, col in np.ndindex(size):
+        target = row + float(disparity[row, col])
+        if disparity[row, col] >= 0 and target <= 11:
+            r = min(int(target), 10)
+            share, seen[row, col] = target - r, usable[r, col] and usable[r + 1, col]
+            warped[row, col] = (1 - share) * second[r, col] + share * second[r + 1, col]
+    own, other = census_transform(first.mean(-1)), census_transform(warped.mean(-1))
+    bits = np.unpackbits((own ^ other).view(np.uint8), axis=-1).reshape(*size, 64).sum(-1)
+    colour = np.minimum(np.abs(first - warped).mean(-1) / 0.1, 1.0)
+    expected = np.where(seen, 0.7 * np.minimum(bits / 24, 1.0) + 0.3 * colour, OUT_OF_VIEW_COST)
+    found = surface_cost(first, own, second, usable, disparity, 0.3, 0.1)
+    np.testing.assert_allclose(found, np.where(disparity < 0, INVALID_COST, expected), atol=1e-5)
 
 
 def test_planes_are_found_among_outliers() -> None:

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt16, UInt64
 
-from omnisyn_cli.compute.jit import inlined, kernel
+from omnisyn_cli.compute.arrays import empty, zeros
+from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, MAX_COST, DisparityRange
@@ -27,6 +28,9 @@ COST_PER_CENSUS_BIT = np.float32(1.0 / 24.0)
 OUT_OF_VIEW_COST = np.float32(0.6)
 """Cost where the second image shows nothing (outside or masked): worse than a match, better than a contradiction;
 chosen by eye."""
+
+HALF_CENSUS_BITS = np.uint64(24)
+"""Signatures are made and compared in two halves."""
 
 MIN_TEXTURE_VARIANCE = 1e-4
 """Variance of the luminance in a window, which is (2.5/255)²: less texture decides nothing."""
@@ -67,25 +71,78 @@ class CandidateImage(NamedTuple):
     usable: Bool[np.ndarray, "width height"]
 
 
+class WarpedImage(NamedTuple):
+    """What a surface is compared with: the second image, row after row."""
+
+    colours: Float[np.ndarray, "height width 3"]
+    usable: Bool[np.ndarray, "height width"]
+
+
 def census_transform(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.ndarray, "height width"]:
     """Which of the 48 neighbours in 7×7 are brighter than each pixel, as bits; columns wrap, end rows repeat."""
     padded = np.pad(luminance, ((0, 0), (CENSUS_RADIUS, CENSUS_RADIUS)), mode="wrap").astype(np.float32, copy=False)
-    signature = np.zeros(luminance.shape, np.uint64)
+    signature = np.empty(luminance.shape, np.uint64)
     run_ranges(partial(_census_rows, padded, signature), len(signature))
     return signature
 
 
 @kernel()
 def _census_rows(padded, signature, begin, end):  # type: ignore[no-untyped-def]
-    height, width = signature.shape
+    buffers = _census_buffers(signature.shape[1])
     for row in range(begin, end):
-        for i in range(-CENSUS_RADIUS, CENSUS_RADIUS + 1):
-            r = min(max(row + i, 0), height - 1)
-            for j in range(2 * CENSUS_RADIUS + 1):
-                if i != 0 or j != CENSUS_RADIUS:
-                    for col in range(width):
-                        brighter = np.uint64(padded[r, col + j] > padded[row, col + CENSUS_RADIUS] + CENSUS_NOISE)
-                        signature[row, col] = (signature[row, col] << np.uint64(1)) | brighter
+        _census_of_row(padded, row, buffers, signature[row])
+
+
+@inlined()
+def _census_buffers(width):  # type: ignore[no-untyped-def]
+    """Of one row: what is brighter than a pixel, and bits of the neighbours before it and after it."""
+    return empty(width, np.float32), empty(width, np.uint32), empty(width, np.uint32)
+
+
+@subkernel()
+def _census_of_row(padded, row, buffers, signature):  # type: ignore[no-untyped-def]
+    """Fills the signatures of a row, in halves of 32 bits: a processor compares twice as many of them at once."""
+    threshold, before, after = buffers
+    own, last = padded[row], len(padded) - 1
+    centre = own[CENSUS_RADIUS:]
+    for col in range(np.uint64(len(signature))):
+        threshold[col] = centre[col] + CENSUS_NOISE
+        before[col] = after[col] = np.uint32(0)
+    _append_seven(padded[max(row - 3, 0)], threshold, before)
+    _append_seven(padded[max(row - 2, 0)], threshold, before)
+    _append_seven(padded[max(row - 1, 0)], threshold, before)
+    _append_three(own, threshold, before)
+    _append_three(own[CENSUS_RADIUS + 1 :], threshold, after)
+    _append_seven(padded[min(row + 1, last)], threshold, after)
+    _append_seven(padded[min(row + 2, last)], threshold, after)
+    _append_seven(padded[min(row + 3, last)], threshold, after)
+    for col in range(np.uint64(len(signature))):
+        signature[col] = (np.uint64(before[col]) << HALF_CENSUS_BITS) | np.uint64(after[col])
+
+
+@subkernel()
+def _append_seven(values, threshold, bits):  # type: ignore[no-untyped-def]
+    """Whether each of seven values from every column on is brighter; unrolled by hand, else it is not vectorised."""
+    second, third, fourth, fifth, sixth, last = values[1:], values[2:], values[3:], values[4:], values[5:], values[6:]
+    for col in range(np.uint64(len(bits))):  # an index without a sign is not tested for counting from the end
+        least = threshold[col]
+        three = _appended(_appended(_appended(bits[col], values[col], least), second[col], least), third[col], least)
+        five = _appended(_appended(three, fourth[col], least), fifth[col], least)
+        bits[col] = _appended(_appended(five, sixth[col], least), last[col], least)
+
+
+@subkernel()
+def _append_three(values, threshold, bits):  # type: ignore[no-untyped-def]
+    """The same of three values."""
+    second, last = values[1:], values[2:]
+    for col in range(np.uint64(len(bits))):
+        two = _appended(_appended(bits[col], values[col], threshold[col]), second[col], threshold[col])
+        bits[col] = _appended(two, last[col], threshold[col])
+
+
+@inlined()
+def _appended(bits, value, threshold):  # type: ignore[no-untyped-def]
+    return np.uint32(bits << np.uint32(1)) | np.uint32(value > threshold)
 
 
 def is_textured(image: Float[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
@@ -176,56 +233,61 @@ def surface_cost(
     The second image is warped to the first one before windows are compared, so that they slant as the surface does.
     Where ``disparity`` (rows) is negative the surface is behind the camera: :data:`INVALID_COST`.
     """
-    warped, seen = np.zeros_like(first), np.zeros(disparity.shape, np.bool_)
-    run_ranges(partial(_warp_rows, second, second_usable, disparity, warped, seen), len(warped))
-    differing_bits = first_census ^ census_transform(luminance_of(warped))
     cost, colour = np.empty(disparity.shape, np.float32), ColourCost.from_truncation(colour_weight, colour_truncation)
-    run_ranges(partial(_surface_cost_rows, first, warped, differing_bits, disparity, seen, colour, cost), len(cost))
+    own, other = ReferenceImage(first, first_census), WarpedImage(second, second_usable)
+    run_ranges(partial(_surface_cost_rows, own, other, disparity, colour, cost), len(cost))
     return cost
 
 
 @kernel()
-def _warp_rows(second, second_usable, disparity, warped, seen, begin, end):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for row in range(begin, end):
-        for col in range(width):
-            target = row + disparity[row, col]
-            if disparity[row, col] >= 0 and target <= height - 1:
-                r = min(int(target), height - 2)
-                share = np.float32(target - r)
-                seen[row, col] = second_usable[r, col] and second_usable[r + 1, col]
-                for k in range(3):
-                    warped[row, col, k] = (1 - share) * second[r, col, k] + share * second[r + 1, col, k]
-
-
-@kernel()
-def _surface_cost_rows(  # type: ignore[no-untyped-def]
-    first, warped, differing_bits, disparity, seen, colour, cost, begin, end
-):
+def _surface_cost_rows(first, second, disparity, colour, cost, begin, end):  # type: ignore[no-untyped-def]
     """Fills some rows of ``cost``.
 
     Args:
-        first: RGB.
-        warped: RGB of the second image where the surface says that it shows the same point.
-        differing_bits: census bits that differ between the two.
+        first: the image that is compared.
+        second: the image that is warped to it.
         disparity: rows; negative behind the camera.
-        seen: where ``warped`` holds usable pixels.
         colour: how colours count.
         cost: written.
         begin: first row.
         end: the row after the last.
     """
+    height, width = disparity.shape
+    top, bottom = max(begin - CENSUS_RADIUS, 0), min(end + CENSUS_RADIUS, height)
+    luminance = zeros((bottom - top, width + 2 * CENSUS_RADIUS), np.float32)  # 0 where the second image shows nothing
+    difference = empty((bottom - top, width), np.float32)
+    for row in range(top, bottom):
+        _warp_row(first.colours[row], second, disparity[row], row, luminance[row - top], difference[row - top])
+    buffers, signature = _census_buffers(width), empty(width, np.uint64)
     for row in range(begin, end):
-        for col in range(cost.shape[1]):
-            if disparity[row, col] < 0:
-                cost[row, col] = INVALID_COST
-            elif not seen[row, col]:
-                cost[row, col] = OUT_OF_VIEW_COST
-            else:
-                difference = np.float32(0.0)
-                for k in range(3):
-                    difference += abs(first[row, col, k] - warped[row, col, k])
-                cost[row, col] = _combine_costs(differing_bits[row, col], difference, colour)
+        _census_of_row(luminance, row - top, buffers, signature)
+        for col in range(np.uint64(width)):
+            differs = difference[row - top, col]
+            value = _combine_costs(first.census[row, col] ^ signature[col], differs, colour)
+            value = value if differs >= 0 else OUT_OF_VIEW_COST
+            cost[row, col] = value if disparity[row, col] >= 0 else INVALID_COST
+
+
+@inlined()
+def _warp_row(own, second, disparity, row, luminance, difference):  # type: ignore[no-untyped-def]
+    """Luminance of a row of the warped image, and its difference from the colours of the first one; −1 if unusable."""
+    height, width = second.usable.shape
+    for col in range(width):
+        target = row + disparity[col]
+        difference[col] = -1.0
+        if disparity[col] >= 0 and target <= height - 1:
+            r = min(int(target), height - 2)
+            share = np.float32(target - r)
+            upper, lower = second.colours[r, col], second.colours[r + 1, col]
+            red = np.float32((1 - share) * upper[0] + share * lower[0])
+            green = np.float32((1 - share) * upper[1] + share * lower[1])
+            blue = np.float32((1 - share) * upper[2] + share * lower[2])
+            luminance[col + CENSUS_RADIUS] = (red + green + blue) / np.float32(3.0)
+            if second.usable[r, col] and second.usable[r + 1, col]:
+                difference[col] = abs(own[col, 0] - red) + abs(own[col, 1] - green) + abs(own[col, 2] - blue)
+    for k in range(CENSUS_RADIUS):
+        luminance[CENSUS_RADIUS - 1 - k] = luminance[CENSUS_RADIUS + (width - 1 - k) % width]
+        luminance[width + CENSUS_RADIUS + k] = luminance[CENSUS_RADIUS + k % width]
 
 
 @inlined()
