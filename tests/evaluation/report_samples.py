@@ -17,7 +17,8 @@ DEPTH_FIELDS = (
 
 
 def frame(t: float, score: float, *, length: float = 4.0, pictures: dict[str, str] | None = None) -> FrameRecord:
-    scores = {"ws_psnr": score, "psnr": score + 0.5, "ws_ssim": 0.9, "ssim": 0.91, "lrce": 0.01, "flying": 0.001}
+    scores = {"ws_psnr": score, "psnr": score + 0.5, "ws_ssim": 0.9, "ssim": 0.91, "lrce": 0.01}
+    scores |= {"flying": 0.001, "shards": 0.02}
     if t > 0.25:  # not of the first of three
         scores["change_psnr"] = score + 3.0
     by_kind = {

@@ -13,6 +13,7 @@ from omnisyn_cli.evaluation.datasets import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.measure import measure
 from omnisyn_cli.evaluation.methods import ComparedMethod
+from omnisyn_cli.evaluation.report import write_report
 from omnisyn_cli.evaluation.results import RESULTS_NAME, UnitRecord, read_records
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose
@@ -125,6 +126,7 @@ def test_what_matching_is_unsure_of_is_known_whatever_fills_it(tmp_path):
     assert "change_psnr" not in first.scores
     assert second.scores["change_psnr"] > fade.frames[1].scores["change_psnr"]
     assert 0 <= first.scores["flying"] < 0.01
+    assert 0 <= first.scores["shards"] <= 1
     assert matching.worst == {
         "ws_psnr": min((first, second), key=lambda frame: frame.scores["ws_psnr"]).name, "change_psnr": second.name
     }  # fmt: skip
@@ -275,18 +277,31 @@ def test_a_method_that_breaks_does_not_end_the_others(halls, monkeypatch):
     assert records[0].reason == "ZeroDivisionError: by zero"
 
 
-def test_scenes_without_truth_are_listed_with_the_reason(tmp_path):
-    data = write_halls(tmp_path / "data", "pair", frames=2)
+def test_without_true_frames_a_frame_half_way_is_judged_by_what_photographs_show(tmp_path):
+    data = write_halls(tmp_path / "data", "pair", frames=2, with_depth=False)
     write_halls(data, "full")
-    skipped, done = run(data, "crossfade")
-    assert (skipped.scene, skipped.status, skipped.method) == ("pair", "skipped", "")
-    assert "got none" in skipped.reason
-    assert (done.scene, done.status) == ("full", "done")
+    full, alone = run(data, "crossfade", pictures=True)
+    assert [frame.name for frame in full.frames] == ["p1.png", "p2.png"]
+    (frame,) = alone.frames
+    assert (alone.scene, alone.status, frame.name, frame.t) == ("pair", "done", "half way", 0.5)
+    assert frame.distance == pytest.approx(alone.baseline / 2)
+    assert frame.scores.keys() == {"shards"}
+    assert (frame.pictures.keys(), frame.by_kind) == ({"frame"}, {})
+    write_report(tmp_path / "report", [full, alone])
+    table = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))["tables"]
+    assert [t["rows"][0]["cells"][-1]["value"] for t in table if "shards" in t["title"]] == [3]
+    rows = (tmp_path / "report" / "report.csv").read_text(encoding="utf-8").splitlines()
+    assert [row for row in rows if row.startswith("pair") and ",frame,half way,0.5,0.6," in row and ",shards," in row]
+    assert "0.60 m from the nearer panorama" in (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+
+
+def test_scenes_without_panoramas_are_listed_once(tmp_path):
+    data = write_halls(tmp_path / "data", "full")
     (data / "none").mkdir()
     (data / "none" / "poses.json").write_text('{"version": 1, "panoramas": {}}')
     for _ in range(2):
         run(data, "crossfade")
-    assert sorted(lines(data)) == [("full", "crossfade"), ("none", ""), ("pair", "")]
+    assert sorted(lines(data)) == [("full", "crossfade"), ("none", "")]
 
 
 def test_what_cannot_run_says_why(tmp_path, monkeypatch):

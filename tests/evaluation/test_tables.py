@@ -183,9 +183,10 @@ def test_depth_is_averaged_over_panoramas_plain_and_weighted():
 
 
 def test_changes_are_counted_where_there_is_a_frame_before():
-    shown = figures(table("Changes and flying pixels"))["matching"]
+    shown = figures(table("Changes, flying pixels and shards"))["matching"]
     assert shown["Change from frame to frame, dB"] == pytest.approx(np.mean([24, 28, 20, 24]) + 3)
     assert shown["Flying pixels, share of the sphere"] == pytest.approx(0.001)
+    assert shown["Shards, share of edges"] == pytest.approx(0.02)
     assert shown["Frames"] == 6
 
 

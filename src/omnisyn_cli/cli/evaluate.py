@@ -85,7 +85,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, and those
     between are the truth. Depth is compared where the truth is known. The report also gives errors by kind of pixel
     (both views agree, they disagree, one view only, hole, beside silhouettes), depth confidence, changes between
-    frames, and flying pixels.
+    frames, flying pixels and shards. A pair without true frames has one frame half way, judged by shards alone.
     """  # noqa: D301 - click's \b is a backspace
     import shlex
 
@@ -127,10 +127,13 @@ def print_records(records: Sequence[UnitRecord], **about: str | None) -> None:
 
 
 def _print_table(records: Sequence[UnitRecord]) -> None:
-    """The means per method, what tours are worth, and why others have none."""
-    from omnisyn_cli.evaluation.tables import mean_table, tour_table
+    """The means per method, what tours are worth, what is known without true frames, and why others have none."""
+    from omnisyn_cli.evaluation.tables import artefact_table, mean_table, tour_table
 
-    for table, title in ((mean_table(records), None), (tour_table(records), "In tours, against pairs alone")):
+    tables = [(mean_table(records), None), (tour_table(records), "In tours, against pairs alone")]
+    if any("ws_psnr" not in frame.scores for record in records for frame in record.frames):
+        tables.append((artefact_table(records), "Some pairs have no true frames"))
+    for table, title in tables:
         if table.rows:
             print_table(table, title)
     for record in records:

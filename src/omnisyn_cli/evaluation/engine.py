@@ -42,9 +42,6 @@ __all__ = ["EvaluationJob", "evaluate", "plan_evaluation", "run_evaluation"]
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""
 
-NO_TRUE_FRAMES = "expected true frames between the two panoramas, got none"
-"""Why a pair has no scores of frames."""
-
 DEFAULT_TOUR_PAIRS = "every:2"
 """Pairs of tours unless others are asked for."""
 
@@ -95,8 +92,8 @@ class EvaluationPlan:
     Attributes:
         job: what was asked for.
         methods: to be compared.
-        pairs: that have true frames.
-        findings: records of scenes and pairs that cannot be evaluated, with the reason.
+        pairs: to be made; those without true frames have a frame half way.
+        findings: records of scenes that cannot be evaluated, with the reason.
     """
 
     job: EvaluationJob
@@ -132,8 +129,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
         except Exception as error:  # noqa: BLE001 - one broken scene must not end an evaluation of many
             findings.append(_finding(source, "failed", one_line(error)))
         else:
-            pairs += [pair for pair in found if pair.between]
-            findings += [_without_truth(pair) for pair in found if not pair.between]
+            pairs += found
             if not found and (job.pairs is None or not Path(job.pairs).is_file()):
                 findings.append(_finding(source, "skipped", TOO_FEW_PANORAMAS))
     if not pairs and not findings:
@@ -209,11 +205,6 @@ def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
     return UnitRecord("", source.name, "", "", "", status, reason)
 
 
-def _without_truth(pair: Pair) -> UnitRecord:
-    names = (pair.first.name, pair.second.name)
-    return UnitRecord("", pair.scene, *names, "", "skipped", NO_TRUE_FRAMES, baseline=baseline_of(pair))
-
-
 def _records(plan: EvaluationPlan, known: KnownRecords) -> Iterator[UnitRecord]:
     yield from plan.findings
     worker = _UnitRunner(plan.job)
@@ -286,14 +277,14 @@ class _UnitRunner:
         return self._done(blank, pair, loaded, made)
 
     def _done(self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, made: Measurement) -> UnitRecord:
-        pictures: list[dict[str, str]] = [{} for _ in loaded.truths]
+        pictures: list[dict[str, str]] = [{} for _ in loaded.targets]
         depths = made.depths
         if self._job.pictures:
             writer = PictureWriter(self._job.report, pair, blank.method)
             pictures, depths = writer.frames(loaded, made), writer.depths(loaded, made)
         frames = tuple(
-            FrameRecord(truth.name, truth.waypoint.t, truth.distance, scores, shown, by_kind)
-            for truth, scores, shown, by_kind in zip(loaded.truths, made.scores, pictures, made.by_kind, strict=True)
+            FrameRecord(target.name, target.waypoint.t, target.distance, scores, shown, by_kind)
+            for target, scores, shown, by_kind in zip(loaded.targets, made.scores, pictures, made.by_kind, strict=True)
         )
         return replace(
             blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded), frames=frames, depths=depths,

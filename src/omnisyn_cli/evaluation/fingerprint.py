@@ -12,7 +12,7 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair
 from omnisyn_cli.runtime.models import sha256_of
 
-RECORD_VERSION = 2
+RECORD_VERSION = 3
 """Counts up when the same inputs are measured or recorded in another way."""
 
 IGNORED_ROOMS = frozenset({"batch", "cli", "networks", "training"})

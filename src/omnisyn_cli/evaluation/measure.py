@@ -54,14 +54,14 @@ class Measurement:
     """What was made and measured.
 
     Attributes:
-        images: a picture for every true frame.
+        images: a picture for every target of the pair.
         scores: of every picture.
         kinds: of every picture, where pixels of each kind are; without geometry only the ``top`` and the ``bottom``.
-        by_kind: of every picture, see :func:`omnisyn_cli.evaluation.metrics.kind_figures`.
+        by_kind: of every picture, see :func:`omnisyn_cli.evaluation.metrics.kind_figures`; empty without true frames.
         depths: of both views; empty for methods without.
         found: the depth that the method found, or None.
         temporal: see :class:`omnisyn_cli.evaluation.results.UnitRecord`.
-        seconds: for the true frames, by stage, with their ``total``; clips and ends are not counted.
+        seconds: for the targets, by stage, with their ``total``; clips and ends are not counted.
     """
 
     images: tuple[Float[np.ndarray, "height width 3"], ...]
@@ -78,20 +78,17 @@ def measure(
     method: PairMaker, pair: LoadedPair, names: tuple[str, str], perceptual: Perceptual | None = None,
     threads: int | None = None,
 ) -> Measurement:  # fmt: skip
-    """Let a method make the true frames of a pair, a clip and both ends, and measure them.
+    """Let a method make the targets of a pair, a clip and both ends, and measure them.
 
     ``names`` are those of the panoramas. ``perceptual`` is a further distance of pictures, ``lpips`` in the scores.
     """
     clock = Stopwatch()
     made = method(pair.size, clock)
-    images = tuple(_clip_to_unit(made.frame(truth.waypoint).image) for truth in pair.truths)
+    images = tuple(_clip_to_unit(made.frame(target.waypoint).image) for target in pair.targets)
     seconds = dict(clock.seconds)
     scores = _scores(images, pair, perceptual)
-    kinds = tuple(kinds_at(made, truth.waypoint, pair.size) for truth in pair.truths)
-    by_kind = tuple(
-        metrics.kind_figures(image, truth.image, masks)
-        for image, truth, masks in zip(images, pair.truths, kinds, strict=True)
-    )
+    kinds = tuple(kinds_at(made, target.waypoint, pair.size) for target in pair.targets)
+    by_kind = _by_kind(images, kinds, pair)
     temporal = {**_clip_measures(method, made, pair), **_end_errors(made, pair, threads)}
     found = made.depths if _has_parallax(pair) else None
     depths = () if found is None else depth_records(found, pair.views, names)
@@ -102,9 +99,17 @@ def measure(
 def _scores(
     images: tuple[Float[np.ndarray, "height width 3"], ...], pair: LoadedPair, perceptual: Perceptual | None
 ) -> tuple[dict[str, float], ...]:
-    """Of every picture: its own, how it changed since the one before, and how much of it flies."""
+    """Of every picture: its shards; against true frames also its own, how it changed, and how much of it flies."""
+    photographs = metrics.PhotographEdges(pair.views, pair.size)
+    shards = [
+        metrics.shard_share(image, target.waypoint.pose, photographs)
+        for image, target in zip(images, pair.targets, strict=True)
+    ]
+    if not pair.truths:
+        return tuple({"shards": share} for share in shards)
     scores = tuple(
-        frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
+        {**frame_scores(image, truth.image, perceptual), "shards": share}
+        for image, truth, share in zip(images, pair.truths, shards, strict=True)
     )
     for score, change in zip(scores[1:], change_psnr(images, [truth.image for truth in pair.truths]), strict=True):
         score["change_psnr"] = change
@@ -120,6 +125,17 @@ def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
     if shown is None:
         return metrics.end_masks(size)
     return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **metrics.end_masks(size)}
+
+
+def _by_kind(
+    images: tuple[Float[np.ndarray, "height width 3"], ...], kinds: tuple[Kinds, ...], pair: LoadedPair
+) -> tuple[dict[str, dict[str, float]], ...]:
+    if not pair.truths:
+        return ({},)
+    return tuple(
+        metrics.kind_figures(image, truth.image, masks)
+        for image, truth, masks in zip(images, pair.truths, kinds, strict=True)
+    )
 
 
 def _has_parallax(pair: LoadedPair) -> bool:

@@ -164,8 +164,9 @@ def embedded_picture(path: Path) -> str | None:
 
 
 def _frame_title(pair: str, frame: FrameRecord) -> str:
-    score = format_value(frame.scores.get("ws_psnr", math.nan), 2)
-    return f"{pair}, {frame.name}: {score} dB at t = {frame.t:.2f}, {frame.distance:.2f} m from the nearer panorama"
+    shards = f"{frame.scores.get('shards', 0.0):.1%} shards"
+    score = f"{format_value(frame.scores['ws_psnr'], 2)} dB" if "ws_psnr" in frame.scores else shards
+    return f"{pair}, {frame.name}: {score} at t = {frame.t:.2f}, {frame.distance:.2f} m from the nearer panorama"
 
 
 def _depth_pictures(folder: Path, depths: Mapping[str, DepthRecord]) -> Pictures:

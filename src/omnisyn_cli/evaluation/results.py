@@ -25,22 +25,23 @@ RESULTS_NAME = "results.jsonl"
 """A line per finished unit."""
 
 Status = Literal["done", "unavailable", "skipped", "failed"]
-"""``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: there is no true frame to
-compare with. ``failed``: a file is damaged, or the method broke. All but ``done`` have a ``reason``."""
+"""``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: a scene has no pair that can
+be measured. ``failed``: a file is damaged, or the method broke. All but ``done`` have a ``reason``."""
 
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """One frame between two panoramas, compared with the truth.
+    """One frame between two panoramas, compared with the truth if there is one.
 
     Attributes:
-        name: of the true frame, as the data set calls it.
+        name: of the true frame, as the data set calls it, or ``half way``.
         t: share of the way from the first panorama to the second, by distance, in (0, 1).
         distance: metres to the nearer of the two panoramas.
         scores: ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``,
             ``lrce``, and ``lpips`` if a network for it was given; ``change_psnr`` of all but the first, see
             :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, see
-            :mod:`omnisyn_cli.evaluation.metrics.flying`.
+            :mod:`omnisyn_cli.evaluation.metrics.flying`. ``shards`` of all frames, the only one without a true frame,
+            see :mod:`omnisyn_cli.evaluation.metrics.shards`.
         pictures: ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the
             report, with "/"; may be empty.
         by_kind: ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of
@@ -92,7 +93,7 @@ class UnitRecord:
         baseline: metres from the first to the second panorama; NaN where the scene could not be read.
         median_depth: metres, of the first panorama; None without true depth.
         size: height and width of the frames that were compared, (0, 0) where there are none.
-        frames: one for every true frame between, in walking order.
+        frames: one for every true frame between, in walking order; one half way where there are none.
         depths: of the first and of the second panorama; empty for methods without depth.
         temporal: ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.metrics.temporal`), and
             ``end_first``, ``end_second``: root mean square difference, weighted by solid angle, between what the method

@@ -26,6 +26,7 @@ __all__ = [
     "ERROR_NOTE",
     "Table",
     "about_units",
+    "artefact_table",
     "format_cell",
     "format_value",
     "mean_table",
@@ -106,11 +107,12 @@ DEPTH_COLUMNS = {
 }
 """By score of depth, likewise."""
 
-TRUE_FRAMES_COLUMNS = {
+ARTEFACT_COLUMNS = {
     "change_psnr": Column("Change from frame to frame, dB", 1),
     "flying": Column("Flying pixels, share of the sphere", -1, 5),
+    "shards": Column("Shards, share of edges", -1, 4),
 }
-"""By score of changes from frame to frame, against those of true frames."""
+"""By score of what should not be there: changes that the true frames lack, colours and edges that photographs lack."""
 
 CONFIDENCE_COLUMNS = {
     "unsure_area": Column("Unsure area", 0, 4),
@@ -180,7 +182,7 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
         tour_table(records),
         *_score_tables(records),
         *_kind_tables(records),
-        _true_frames_table(records),
+        artefact_table(records),
         *(_worst_table(records, *each) for each in WORST_TABLES),
         depth_table(records, weighted=False),
         depth_table(records, weighted=True),
@@ -233,13 +235,14 @@ def _kind_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
         yield _method_table(title, f"{note} {KIND_NOTE}", "Frames", records, f"kind-{figure}", columns)
 
 
-def _true_frames_table(records: Sequence[UnitRecord]) -> Table:
-    """What neighbouring true frames and both photographs say."""
+def artefact_table(records: Sequence[UnitRecord]) -> Table:
+    """What neighbouring true frames and both photographs do not show."""
     note = (
         "Change: PSNR of the difference to the frame before, against that of the true frames. Flying pixels are more "
-        "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them."
+        "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them. "
+        "Shards are edges that neither photograph has anywhere near; they need no true frame."
     )
-    return _method_table("Changes and flying pixels", note, "Frames", records, "frame", TRUE_FRAMES_COLUMNS)
+    return _method_table("Changes, flying pixels and shards", note, "Frames", records, "frame", ARTEFACT_COLUMNS)
 
 
 def _worst_table(records: Sequence[UnitRecord], title: str, note: str, score: str) -> Table:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.io import read_mask, read_panorama
 from omnisyn_cli.io.images import check_mask_size
 from omnisyn_cli.synthesis.synthesize import turned_panorama
@@ -19,20 +19,36 @@ IDENTITY_POSE = Pose.identity()
 """Of frames that are compared in the panorama's own orientation."""
 
 
+HALF_WAY = "half way"
+"""Name of the frame that is made where there are no true ones."""
+
+MAX_HALF_WAY_ROWS = 512
+"""Rows of that frame at most: what is measured without a true frame does not need more."""
+
+
 @dataclass(frozen=True)
-class TrueFrame:
-    """What a camera saw between the two views.
+class Target:
+    """Where methods make a frame between the two views.
 
     Attributes:
         name: of the frame.
         waypoint: its pose, and the share of the way by distance.
         distance: metres to the nearer view.
-        image: ``(height, width, 3)`` RGB in [0, 1], at the size of the comparison.
     """
 
     name: str
     waypoint: Waypoint
     distance: float
+
+
+@dataclass(frozen=True)
+class TrueFrame(Target):
+    """What a camera saw between the two views.
+
+    Attributes:
+        image: ``(height, width, 3)`` RGB in [0, 1], at the size of the comparison.
+    """
+
     image: Float[np.ndarray, "height width 3"]
 
 
@@ -52,6 +68,15 @@ class LoadedPair:
     size: tuple[int, int]
     around: tuple[View | None, View | None] = (None, None)
 
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """The true frames; half way on the straight line where there are none."""
+        if self.truths:
+            return self.truths
+        first, second = (view.pose for view in self.views)
+        distance = 0.5 * float(np.linalg.norm(second.position - first.position))
+        return (Target(HALF_WAY, Waypoint(0, 0.5, interpolate_pose(first, second, 0.5)), distance),)
+
 
 def baseline_of(pair: Pair) -> float:
     """Metres from the first to the second panorama."""
@@ -67,6 +92,8 @@ def _share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
 def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | None = None) -> LoadedPair:
     """Read all pictures, masks and depth of a pair; frames are compared at ``size`` or that of the first true frame.
 
+    Without true frames the size is that of the first panorama, at most :data:`MAX_HALF_WAY_ROWS`.
+
     InputError: a file is missing or damaged, or a mask has another size than its panorama.
     """
     truths = []
@@ -78,9 +105,9 @@ def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | No
             image = np.clip(turned_panorama(image, IDENTITY_POSE, size, threads), 0, 1)
         truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
     views = (_view(pair.first), _view(pair.second))
-    height, width = views[0].image.shape[:2]
+    rows = min(views[0].image.shape[0], MAX_HALF_WAY_ROWS)
     before, after = (None if frame is None else _view(frame) for frame in (pair.before, pair.after))
-    return LoadedPair(views, tuple(truths), size or (height, width), (before, after))
+    return LoadedPair(views, tuple(truths), size or (rows, 2 * rows), (before, after))
 
 
 def _view(frame: SceneFrame) -> View:

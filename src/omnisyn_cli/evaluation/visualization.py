@@ -116,7 +116,9 @@ class PictureWriter:
         self._pair = _slug("/".join((pair.scene, pair.first.name, pair.second.name)))
 
     def frames(self, pair: LoadedPair, made: Measurement) -> list[dict[str, str]]:
-        """``frame``, ``truth``, ``error`` and, where all kinds are known, ``kinds`` of every true frame."""
+        """``frame``, ``truth``, ``error`` and, where all kinds are known, ``kinds``; without true frames ``frame``."""
+        if not pair.truths:
+            return [{"frame": self._write(self._method, pair.targets[0].name, made.images[0])}]
         found = []
         for truth, image, kinds in zip(pair.truths, made.images, made.kinds, strict=True):
             pictures = {

@@ -5,8 +5,10 @@ from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pi
 from omnisyn_cli.evaluation.metrics.flying import flying_share
 from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, ssim, ws_psnr, ws_ssim
 from omnisyn_cli.evaluation.metrics.kinds import end_masks, kind_figures
+from omnisyn_cli.evaluation.metrics.shards import PhotographEdges, shard_share
 
 __all__ = [
+    "PhotographEdges",
     "confidence_metrics",
     "depth_metrics",
     "end_masks",
@@ -18,6 +20,7 @@ __all__ = [
     "merged_reliability",
     "psnr",
     "scored_pixels",
+    "shard_share",
     "ssim",
     "ws_psnr",
     "ws_ssim",
