@@ -173,3 +173,31 @@ def test_what_is_unknown_or_too_far_for_millimetres_is_zero(tmp_path: Path) -> N
     assert not found[50:].any()
     masks = (Image.open(path).convert("L") for path in (tmp_path / "out" / "masks" / "0000_p0.png", mask))
     assert np.array_equal(*map(np.asarray, masks))
+
+
+def files_in(folder: Path) -> set[str]:
+    return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("form", ["colmap", "nerfstudio"])
+def test_a_smaller_data_set_in_its_place_leaves_nothing_of_the_former_one(tmp_path: Path, form: str) -> None:
+    """But all that others have put there stays, whatever it is called."""
+    exported(tmp_path, "out", format=form)
+    kind = "panoramas/images" if form == "colmap" else "images"
+    strangers = {"mine.txt", f"{kind}/0002_mine.jpg", f"{kind}/0009_p9.jpg"}
+    for name in strangers:
+        (tmp_path / "out" / name).write_text("mine")
+    for output in ("out", "fresh"):
+        exported(tmp_path, output, format=form, chain=CHAIN[:2], overwrite=True)
+    assert files_in(tmp_path / "out") == files_in(tmp_path / "fresh") | strangers
+
+
+def test_pictures_of_somebody_elses_data_set_stay(tmp_path: Path) -> None:
+    """It names no depth and no masks of them."""
+    pictures = tmp_path / "out" / "images"
+    pictures.mkdir(parents=True)
+    (pictures / "0007_theirs.jpg").write_text("theirs")
+    text = json.dumps({"frames": [{"file_path": "images/0007_theirs.jpg"}]})
+    (tmp_path / "out" / "transforms.json").write_text(text)
+    exported(tmp_path, "out", format="nerfstudio", chain=CHAIN[:2], overwrite=True)
+    assert (pictures / "0007_theirs.jpg").is_file()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from omnisyn_cli.errors import OutputPathError, WriteError
-from omnisyn_cli.io.outputs import check_staged_folder, replaced_folder, staged_folder, write_errors
+from omnisyn_cli.io.outputs import check_staged_folder, former_files, replaced_folder, staged_folder, write_errors
 
 
 def write_two(folder: Path, error: type[BaseException] | None = None) -> None:
@@ -51,7 +51,8 @@ def test_what_a_former_output_has_beyond_the_new_one_goes_and_nothing_else(tmp_p
     """What its document names and is called like its files; strangers stay, whatever they are called."""
     own_file = re.compile(r"(?:parts|more)/\d+")
     for names in (["parts/0", "parts/1", "more/2"], ["parts/0"]):
-        with replaced_folder(tmp_path, ["list", "else"], own_file, overwrite=True) as staged:
+        former = former_files(tmp_path, ["list", "else"], own_file)
+        with replaced_folder(tmp_path, former, overwrite=True) as staged:
             for name in names:
                 (staged / name).parent.mkdir(exist_ok=True)
                 (staged / name).write_text(name)

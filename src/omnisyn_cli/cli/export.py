@@ -66,7 +66,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
 )  # fmt: skip
 @surface_options
 @click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of the same names."
+    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of a former output."
 )
 @click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")

@@ -53,7 +53,7 @@ OPENER_SECONDS = 2.0
     help="Where confidence is low: only warn, cross-fade the photographs of that pair, or fail.",
 )  # fmt: skip
 @click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of the same names."
+    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of a former output."
 )
 @click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")

@@ -22,8 +22,10 @@ __all__ = [
     "check_name",
     "check_output",
     "check_staged_folder",
+    "former_files",
     "hidden_folder",
     "make_folder",
+    "named_in",
     "real_path",
     "replaced_folder",
     "replaced_when_complete",
@@ -235,27 +237,32 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
                 file.replace(target)
 
 
-@contextmanager
-def replaced_folder(
-    folder: Path, documents: Iterable[str], own_file: re.Pattern[str], *, overwrite: bool
-) -> Iterator[Path]:
-    """As :func:`staged_folder`; what a former output has and the new one has not is removed at the end.
+def named_in(document: Path, own_file: re.Pattern[str]) -> set[str]:
+    """The names that a pattern finds in the text of a file; none where it cannot be read."""
+    with suppress(OSError):
+        return set(own_file.findall(document.read_text(encoding="utf-8", errors="replace")))
+    return set()
 
-    Args:
-        folder: to fill.
-        documents: names of files that name the other files of an output; one that names none is somebody else's.
-        own_file: finds those names in the text of a document.
-        overwrite: replace files of the same names.
+
+def former_files(folder: Path, documents: Iterable[str], own_file: re.Pattern[str]) -> set[str]:
+    """Files of a former output in a folder: documents and what they name; one that names none is somebody else's.
+
+    ``own_file`` finds those names in the text of a document.
     """
     former: set[str] = set()
     for document in documents:
-        with suppress(OSError):
-            names = set(own_file.findall((folder / document).read_text(encoding="utf-8", errors="replace")))
-            former |= {document, *names} if names else set()
+        names = named_in(folder / document, own_file)
+        former |= {document, *names} if names else set()
+    return former
+
+
+@contextmanager
+def replaced_folder(folder: Path, former: Iterable[str], *, overwrite: bool) -> Iterator[Path]:
+    """As :func:`staged_folder`; the files of a ``former`` output that the new one has not are removed at the end."""
     with staged_folder(folder, overwrite=overwrite) as staged:
         yield staged
-        former -= {file.relative_to(staged).as_posix() for file in staged.rglob("*")}
-    left = [folder / name for name in former]
+        old = set(former) - {file.relative_to(staged).as_posix() for file in staged.rglob("*")}
+    left = [folder / name for name in old]
     with write_errors(folder):
         for file in left:
             if file.is_file():

@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
 from omnisyn_cli.io import write_depth, write_image
-from omnisyn_cli.io.outputs import make_folder, write_parts
+from omnisyn_cli.io.outputs import make_folder, named_in, write_parts
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats import CAMERA_AXES, colmap_files, colmap_rig_files, nerfstudio_text
 
@@ -33,6 +33,22 @@ PANORAMAS, RIG = "panoramas", "faces"
 """Folders of the two models of COLMAP."""
 
 MODEL = "sparse/0"
+
+COLMAP_FILES = (
+    *(f"{PANORAMAS}/{files}" for files in ("images/*.jpg", "depth/*.exr", "masks/*.jpg.png")),
+    *(
+        f"{RIG}/{files}".replace("FACE", face)
+        for files in ("images/FACE/*.jpg", "stereo/depth_maps/FACE/*.jpg.geometric.bin", "masks/FACE/*.jpg.png")
+        for face in FACES
+    ),
+)
+NERFSTUDIO_FILES = ("images/*.jpg", "depths/*.png", "masks/*.png")
+"""Files of each panorama, whose name stands in place of the star."""
+
+TRANSFORMS = "transforms.json"
+
+OWN_NAME = r"(\d{4,}_[A-Za-z0-9._-]*)"
+"""What :func:`safe_name` makes, as a group."""
 
 MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535
 """In a metre; in samples of 16 bits."""
@@ -69,6 +85,20 @@ class DatasetView:
 def safe_name(index: int, image: Path) -> str:
     """A name without spaces, which COLMAP's text files cannot hold, that sorts as the tour goes."""
     return f"{index:04d}_{re.sub(r'[^A-Za-z0-9._-]', '_', image.stem)}"
+
+
+def former_files(folder: Path, *, is_colmap: bool) -> set[str]:
+    """Files of the panoramas of an earlier data set in a folder: of those that all of its documents name as we do."""
+    mentions = [(TRANSFORMS, f'"{files}"') for files in NERFSTUDIO_FILES]
+    if is_colmap:
+        models = ((PANORAMAS, " *.jpg\n"), (RIG, " front/*.jpg\n"))
+        mentions = [(f"{model}/{MODEL}/images.txt", mention) for model, mention in models]
+    named = [
+        named_in(folder / document, re.compile(re.escape(mention).replace(r"\*", OWN_NAME)))
+        for document, mention in mentions
+    ]
+    every = COLMAP_FILES if is_colmap else NERFSTUDIO_FILES
+    return {files.replace("*", name) for name in set.intersection(*named) for files in every}
 
 
 def face_side(size: tuple[int, int]) -> int:
@@ -125,7 +155,7 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
     companions = {name: {"depth_file_path": f"depths/{name}.png", "mask_path": f"masks/{name}.png"} for name in poses}
     images: dict[str, Path | None] = {name: folder / "images" / f"{name}.jpg" for name in poses}
     shared = {"depth_unit_scale_factor": 1.0 / MILLIMETRES, "ply_file_path": "points.ply"}
-    _write_text(folder / "transforms.json", nerfstudio_text(poses, sizes, images, folder, companions, shared))
+    _write_text(folder / TRANSFORMS, nerfstudio_text(poses, sizes, images, folder, companions, shared))
     write_ply(folder / "points.ply", ply_points(points), ["metres, z up"])
 
 

@@ -25,7 +25,7 @@ from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder
+from omnisyn_cli.io.outputs import check_empty_folder, check_kept, replaced_folder
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
@@ -306,7 +306,8 @@ def _write_dataset(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock:
     poses: dict[str, Pose] = {}
     sizes: dict[str, tuple[int, int]] = {}
     side, parts = datasets.face_side(max(plan.source_sizes)), []
-    with staged_folder(job.output, overwrite=job.overwrite) as staged:
+    former = datasets.former_files(job.output, is_colmap=is_colmap)
+    with replaced_folder(job.output, former, overwrite=job.overwrite) as staged:
         for surface in surfaces:
             with clock("export"):
                 name, pose = datasets.safe_name(surface.index, job.images[surface.index]), surface.view.pose

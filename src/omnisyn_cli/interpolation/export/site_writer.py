@@ -28,7 +28,7 @@ from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.io.images import read_picture
-from omnisyn_cli.io.outputs import hidden_folder, make_folder, replaced_folder, write_parts
+from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, replaced_folder, write_parts
 from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.types import View
 
@@ -83,8 +83,8 @@ def write_site(
     names = {panorama.name: identities[panorama.image] for panorama in tour.panoramas}
     site = site_of(tour, names, images, has_clips=options.has_clips)
     pictures = {panorama.identity: panorama.picture for panorama in site.panoramas}
-    documents = {viewer.document[0] for viewer in VIEWERS.values()}
-    with replaced_folder(job.output, documents, NAMED_FILE, overwrite=job.overwrite) as staged:
+    former = former_files(job.output, {viewer.document[0] for viewer in VIEWERS.values()}, NAMED_FILE)
+    with replaced_folder(job.output, former, overwrite=job.overwrite) as staged:
         with clock("write"):  # before depth is found: a damaged picture ends it
             for source, name in images.items():
                 # encoded anew: what else a file holds stays where it is

@@ -34,7 +34,7 @@ from omnisyn_cli.interpolation.viewer.page import (
     write_page,
 )
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.outputs import check_empty_folder, check_kept, replaced_folder, write_parts
+from omnisyn_cli.io.outputs import check_empty_folder, check_kept, former_files, replaced_folder, write_parts
 from omnisyn_cli.types import DepthEstimator
 
 JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
@@ -185,7 +185,8 @@ def run_view(
     pairs: dict[int, PairConfidence] = {}
     left_out: dict[int, float] = {}
     job = plan.job
-    folder = replaced_folder(job.output, [MANIFEST_NAME], NAMED_BLOCK, overwrite=job.overwrite)
+    former = former_files(job.output, [MANIFEST_NAME], NAMED_BLOCK)
+    folder = replaced_folder(job.output, former, overwrite=job.overwrite)
     with folder if job.is_folder else nullcontext() as staged:
         keep = None if staged is None else partial(_write_block, staged)
         with clock("pack"):
