@@ -20,7 +20,7 @@ from omnisyn_cli.training.guided_depth import (
     guided_scores,
     with_cap,
 )
-from omnisyn_cli.training.pair_matching import facing_the_other, reduced_matching
+from omnisyn_cli.training.pair_matching import draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, matched_walk, save_walk
 
 
@@ -119,6 +119,17 @@ def test_caps_are_at_the_nadir_of_both_pictures_of_a_quarter_of_the_pairs():
     is_capped = np.array([with_cap(black.copy(), rng).any(axis=-1).all(axis=(0, 2)) for _ in range(400)])
     assert 0.2 < is_capped[:, -1].mean() < 0.3
     assert not is_capped[:, : 64 - round(64 * 26 / 180) - 1].any()
+
+
+def test_two_fifths_of_the_poses_are_wrong_by_some_milliradians():
+    rng = np.random.default_rng(3)
+    drawn = [draw_pose_error(rng) for _ in range(2000)]
+    wrong = [(np.arccos((np.trace(turn) - 1) / 2), offset) for turn, offset in drawn if offset.any()]
+    assert len(wrong) / len(drawn) == pytest.approx(0.4, abs=0.03)
+    assert all((turn == np.eye(3)).all() for turn, offset in drawn if not offset.any())
+    angles, offsets = map(np.array, zip(*wrong, strict=True))
+    assert np.sqrt((angles**2).mean() / 3) == pytest.approx(0.003, rel=0.1)
+    assert offsets.std() == pytest.approx(0.008, rel=0.1)
 
 
 def test_nothing_is_taught_where_the_truth_is_not_known_and_gradients_are_finite():

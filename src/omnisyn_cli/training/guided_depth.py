@@ -22,14 +22,7 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
 from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres, reduced, vary_colours
-from omnisyn_cli.training.pair_matching import (
-    DIRECTION_ERROR,
-    MATCHING_CHANNELS,
-    POSE_ERROR_SHARE,
-    TURN_ERROR,
-    facing_the_other,
-    reduced_matching,
-)
+from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.walks import Walk, baseline_ratios, load_walk
 
 __all__ = ["GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
@@ -213,10 +206,9 @@ def _held_by_hand(
     images: np.ndarray, inverse_depth: np.ndarray, matching: np.ndarray, towards: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Cameras not quite upright, and poses not quite right."""
-    is_tilted, is_misplaced = rng.random() < TILT_SHARE, rng.random() < POSE_ERROR_SHARE
+    is_tilted = rng.random() < TILT_SHARE
     tilt = rng.normal(0.0, TILT, 3) * [1.0, 0.0, 1.0] * is_tilted
-    error = rng.normal(0.0, TURN_ERROR, 3) * is_misplaced
-    wrong = rng.normal(0.0, DIRECTION_ERROR, 3) * is_misplaced
+    error, wrong = draw_pose_error(rng)
     held = rotation_from_rotation_vector(tilt)
     first, second = images
     if is_tilted:
@@ -224,8 +216,8 @@ def _held_by_hand(
         inverse_depth = _turned(inverse_depth.shape, held).nearest(np.ascontiguousarray(inverse_depth))
         table = _turned(matching.shape[1:], held)
         matching = np.stack([table.nearest(np.ascontiguousarray(each)) for each in matching])
-    if is_tilted or is_misplaced:
-        turn = held @ rotation_from_rotation_vector(error)
+    if is_tilted or wrong.any():
+        turn = held @ error
         second = _turned(second.shape[:2], turn).bilinear(np.ascontiguousarray(second))
     noisy_direction = held.T @ towards + wrong
     return np.stack([first, second]), inverse_depth, matching, noisy_direction / np.linalg.norm(noisy_direction)

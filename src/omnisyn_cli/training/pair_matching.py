@@ -16,7 +16,9 @@ from omnisyn_cli.stereo.stereo_features import StereoFeatures, sqrt_inv_depth
 from omnisyn_cli.training.data import Augmentation, vary_colours
 from omnisyn_cli.types import View
 
-__all__ = ["MATCHING_CHANNELS", "facing_the_other", "match_views", "reduced_matching", "views_to_match"]
+__all__ = [
+    "MATCHING_CHANNELS", "draw_pose_error", "facing_the_other", "match_views", "reduced_matching", "views_to_match",
+]  # fmt: skip
 
 MATCHING_CHANNELS = 4
 """√(inverse depth × baseline) of the best match, share that is left-right consistent, share that is sky, and the root
@@ -49,6 +51,16 @@ def views_to_match(ratios: Float[np.ndarray, "views views"], rng: np.random.Gene
     return found[:1] + [found[1:][k] for k in rng.permutation(len(found[1:]))[: MATCHED_PAIRS - 1]]
 
 
+def draw_pose_error(rng: np.random.Generator) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+    """What the pose of a second camera is wrong by: a rotation, and what is added to the direction to it.
+
+    Most poses are right: the identity and zeros.
+    """
+    if rng.random() >= POSE_ERROR_SHARE:
+        return np.eye(3), np.zeros(3)
+    return rotation_from_rotation_vector(rng.normal(0.0, TURN_ERROR, 3)), rng.normal(0.0, DIRECTION_ERROR, 3)
+
+
 def match_views(
     images: Shaped[np.ndarray, "2 height width 3"],
     motion: Float[np.ndarray, " 3"],
@@ -66,9 +78,8 @@ def match_views(
     colours, rotation = turned.astype(np.float32) / np.float32(255.0), np.eye(3)
     if rng is not None:
         colours = vary_colours(colours, rng, Augmentation())
-        if rng.random() < POSE_ERROR_SHARE:
-            rotation = rotation_from_rotation_vector(rng.normal(0.0, TURN_ERROR, 3))
-            ahead = ahead + rng.normal(0.0, DIRECTION_ERROR, 3)
+        rotation, offset = draw_pose_error(rng)
+        ahead = ahead + offset
     position = ahead * (baseline / np.linalg.norm(ahead))
     first, second = (
         View(np.ascontiguousarray(image), pose)
