@@ -117,6 +117,7 @@ def test_two_runs_with_one_output_and_leftovers_are_told_at_once(
         assert omnisyn.made(*words, "--dry-run").code == 0
     gone = left_by(monkeypatch, ended_process(), tmp_path)
     assert f"remove them with: rm -r {gone}\n" in omnisyn.made(*words).err
+    assert f"remove them with: rm -r {gone}\n" in omnisyn.ended(3, *words).err
     gone.unlink()
     assert "hidden files" not in omnisyn.made(*words, "--overwrite").err
 
@@ -132,4 +133,8 @@ def test_reports_and_pose_files_tell_of_leftovers_too(
     export = ("poses", "export", scene / "poses.json", "--format", "tum", "-o", tmp_path / "poses.txt")
     assert remedy in omnisyn.made(*export).err
     report = ("--report", tmp_path / "report", "--methods", "crossfade", "--no-pictures", "--threads", 1)
+    assert remedy in omnisyn.made("eval", scene.parent, *report).err
+    deep = tmp_path / "report" / "pictures" / "s0" / "truth"
+    deep.mkdir(parents=True)
+    remedy = f"{remedy.rstrip()} {left_by(monkeypatch, ended_process(), deep)}\n"
     assert remedy in omnisyn.made("eval", scene.parent, *report).err

@@ -90,13 +90,14 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     import shlex
 
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
+    from omnisyn_cli.evaluation.visualization import PICTURES_FOLDER
 
     with working_folder(report, "eval", is_quiet=quiet) as folder:
         command = shlex.join(["omnisyn", *sys.argv[1:]])
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, command=command, **options)
         plan = plan_evaluation(job)
         if not quiet:
-            for note in (_about_results(report), *(leftover_notes(report) if report else ())):
+            for note in (_about_results(report), *(leftover_notes(report, report / PICTURES_FOLDER) if report else ())):
                 say(f"note: {note}", err=True)
         with counted_bar(
             "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet,

@@ -41,13 +41,14 @@ def memory_limit() -> int | None:
     return min(limits, default=None)
 
 
-def leftover_notes(output: Path) -> Iterator[str]:
-    """What runs that were killed have left where an output goes, and how to remove it."""
+def leftover_notes(output: Path, pictures: Path | None = None) -> Iterator[str]:
+    """What runs that were killed have left where an output goes and anywhere in ``pictures``, and how to remove it."""
     import shlex
 
     from omnisyn_cli.io.outputs import abandoned
 
-    found = [*abandoned(output.parent), *abandoned(output)]
+    deeper = sorted(pictures.glob("**/")) if pictures else []
+    found = [left for folder in (output.parent, output, *deeper) for left in abandoned(folder)]
     if found:
         names = " ".join(shlex.quote(str(path)) for path in found)
         yield f"runs that were killed have left hidden files; nothing needs them, remove them with: rm -r {names}"

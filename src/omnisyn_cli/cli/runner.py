@@ -52,13 +52,15 @@ def run_job(
     from omnisyn_cli.io.locks import claimed
 
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
+        for note in leftover_notes(job.output):  # before the output is refused
+            stages.note(f"note: {note}")
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")
         plan = plan_of(job)
         for note in plan.notes:
             stages.note(f"note: {note}")
         values = {**plan.describe(), **expected(plan)}
-        for note in (*memory_notes(values["memory_mib"] * 2**20), *leftover_notes(job.output)):
+        for note in memory_notes(values["memory_mib"] * 2**20):
             stages.note(f"note: {note}")
         if dry_run:
             if as_json or not quiet:
