@@ -1,6 +1,7 @@
 """``omnisyn info --report``: a page about each pair, whole in one file, whatever the panoramas are called."""
 
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from cli.cli_samples import Omnisyn
 from interpolation_samples import edit_poses
+from omnisyn_cli.interpolation import summary
 from omnisyn_cli.io import read_panorama, write_image
 
 ROOM = Path(__file__).parents[2] / "examples" / "room"
@@ -54,6 +56,23 @@ def test_wrong_poses_are_seen_in_red(tmp_path: Path, room: list[Path], omnisyn: 
     omnisyn.made("info", *room, tmp_path / "poses.json", "--preset", "fast", "--report", tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert circles(page, "contradicts") > 10 * circles(page, "fits")
+
+
+def test_the_page_that_a_video_suggests_has_the_metres_of_the_video(
+    tmp_path: Path, room: list[Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where poses are found in the pictures."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(summary, "CONFIDENCE_WORDS", ((1.1, "high"), (0.0, "low")))
+    nearest, fast = [], ("--preset", "fast")
+    for baseline in (1.0, 2.5):
+        poses = ("--poses", "auto", "--baseline", baseline)
+        made = omnisyn.made("interpolate", *room, *poses, "-o", f"{baseline}.mp4", "--frames", 3, *fast)
+        command = re.search(r"^to see why: omnisyn (.*)$", made.out, re.MULTILINE)
+        assert command
+        omnisyn.made(*shlex.split(command[1]), *fast, "--overwrite")
+        nearest.append(float(re.findall(r"from ([\d.]+) m on", (tmp_path / "report.html").read_text())[0]))
+    assert nearest[1] == pytest.approx(2.5 * nearest[0], rel=0.02)
 
 
 def test_a_report_is_about_two_panoramas_and_one_pose_file(tmp_path: Path, room: list[Path], omnisyn: Omnisyn) -> None:

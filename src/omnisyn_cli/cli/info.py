@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.failures import EXIT_INPUT
-from omnisyn_cli.cli.options import preset_option
+from omnisyn_cli.cli.options import preset_option, scale_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
@@ -24,11 +24,12 @@ from omnisyn_cli.cli.terminal import print_json, say
     "depth and confidence. Without a pose file, poses are found in the pictures.",
 )  # fmt: skip
 @preset_option
+@scale_options
 @click.option("--overwrite", is_flag=True, help="Replace the report if it exists.")
 @click.pass_context
 def info(
     context: click.Context, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
-    report: Path | None, preset: str, overwrite: bool,
+    report: Path | None, **options: Any,
 ) -> None:  # fmt: skip
     """Show what the program reads in panoramas, depth files, pose files and videos.
 
@@ -47,8 +48,8 @@ def info(
     if not all(description["ok"] for description in descriptions):
         context.exit(EXIT_INPUT)
     if report is not None:
-        options = {"preset": preset, "overwrite": overwrite, "allow_outside": allow_outside}
-        _report(descriptions, report, **options, **({} if max_pixels is None else {"max_pixels": max_pixels}))
+        options |= {} if max_pixels is None else {"max_pixels": max_pixels}
+        _report(descriptions, report, allow_outside=allow_outside, **options)
 
 
 def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) -> None:

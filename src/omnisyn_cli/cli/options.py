@@ -69,6 +69,18 @@ nadir_option = click.option(
 )  # fmt: skip
 
 
+scale_options = all_of(
+    click.option(
+        "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
+        help="Mean distance between neighbours, for poses from the pictures.  [default: 1]",
+    ),
+    click.option(
+        "--camera-height", metavar="METRES", type=FiniteRange(0, min_open=True),
+        help="Height of the cameras above the floor, for such poses, instead of --baseline.",
+    ),
+)  # fmt: skip
+"""What poses that are found in the pictures get their metres from."""
+
 tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
@@ -76,14 +88,7 @@ tour_options = all_of(
         help="auto: find the camera poses in the pictures (see --baseline); else a JSON file with them.  [default: "
         "poses.json beside the pictures]",
     ),
-    click.option(
-        "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
-        help="Mean distance between neighbours, for --poses auto.  [default: 1]",
-    ),
-    click.option(
-        "--camera-height", metavar="METRES", type=FiniteRange(0, min_open=True),
-        help="Height of the cameras above the floor, for --poses auto, instead of --baseline.",
-    ),
+    scale_options,
     click.option("--refine", is_flag=True, help="Correct the poses where the pictures allow it."),
 )  # fmt: skip
 """Which panoramas, in walking order, and where they were taken; :func:`named` says what is meant."""
@@ -172,17 +177,19 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
 
     images, poses, output = options["images"], options["poses"], options["output"]
     path = options.get("path")
-    is_alone = len(images) == 1 and not images[0].is_dir()
-    if is_alone or (poses is None and not poses_beside(images)):
-        for image in images:
-            if not image.exists():
-                raise InputError(f"{image}: expected a panorama, got no such file; check the name")
-        if is_alone:
-            raise InputError(f"{images[0]}: expected two or more panoramas or a folder of them, got one; name another")
-        raise InputError(
+    lacking = ""
+    if len(images) == 1 and not images[0].is_dir():
+        lacking = f"{images[0]}: expected two or more panoramas or a folder of them, got one; name another"
+    elif poses is None and not poses_beside(images):
+        lacking = (
             f"expected --poses, or a poses.json beside {images[0]}, got neither; have poses found in the pictures "
             "(--poses auto), or name the pose file (--poses FILE)"
         )
+    if lacking:
+        for image in images:
+            if not image.exists():
+                raise InputError(f"{image}: expected a panorama, got no such file; check the name")
+        raise InputError(lacking)
     tour = named_tour(images, poses, allow_outside=options["allow_outside"])
     if path is not None:
         tour = along_path(tour, path, allow_outside=options["allow_outside"])

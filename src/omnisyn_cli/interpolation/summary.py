@@ -149,15 +149,21 @@ class TourSummary:
         yield f"confidence: {word} ({worst.score:.2f}), weakest {self.place(index, weakest)}"
         if word != CONFIDENCE_WORDS[0][1]:
             yield f"to try: {', '.join(self._remedies(worst))} ({CONFIDENCE_PAGE})"
-            job = self.plan.job
-            poses = [] if job.poses == POSES_FROM_PICTURES else [job.poses]
-            words = ["omnisyn", "info", *map(str, [*job.images, *poses]), "--report", "report.html"]
-            yield f"to see why: {shlex.join(words)}"
+            yield f"to see why: {shlex.join(self._report_command())}"
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """Where that is, in words, for a direction half way between the panoramas of a pair."""
         first, second = (self.plan.job.images[view] for view in self.plan.pairs[index])
         return f"between {first.name} and {second.name}, {direction_in_words(direction)}"
+
+    def _report_command(self) -> list[str]:
+        """The words of the command that writes a page about the pairs, with the same poses and metres."""
+        job = self.plan.job
+        more = [str(job.poses)]
+        if job.poses == POSES_FROM_PICTURES:
+            scales = {"--baseline": job.baseline, "--camera-height": job.camera_height}
+            more = [word for option, metres in scales.items() if metres for word in (option, f"{metres:g}")]
+        return ["omnisyn", "info", *map(str, job.images), *more, "--report", "report.html"]
 
     def _remedies(self, pair: PairConfidence) -> Iterator[str]:
         if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and not self.plan.job.nadir:
