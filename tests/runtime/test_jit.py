@@ -121,6 +121,19 @@ def test_two_processes_that_compile_one_kernel_for_two_types_do_not_mix_them_up(
     assert len(list((tmp_path / "kept").rglob("*.nbc"))) == 2
 
 
+@pytest.mark.parametrize("content", [b"", b"no pickle", b"cno.such.module\nthing\n."], ids=["empty", "other", "gone"])
+def test_machine_code_that_cannot_be_read_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
+) -> None:
+    """The last one needs a module that this version of the program no longer has."""
+    assert loaded(tmp_path, monkeypatch)(3) == 6
+    (file,) = (tmp_path / "kept").rglob("*.nbc")
+    file.write_bytes(content)
+    again = loaded(tmp_path, monkeypatch)
+    assert (again(3), sum(again.stats.cache_misses.values())) == (6, 1)
+    assert loaded(tmp_path, monkeypatch)(3) == 6
+
+
 COMPILES_WHEN_TOLD = """
 from doubling import double
 input()

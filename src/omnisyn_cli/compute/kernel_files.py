@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 from numba.core import event
@@ -41,6 +42,13 @@ class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]
         except (AttributeError, ImportError):
             found = {}
         return found
+
+    def load(self, key: Any) -> Any:
+        """The machine code for a key; None if there is none, or only a damaged one or one of modules that are gone."""
+        try:
+            return super().load(key)
+        except (AttributeError, ImportError, EOFError, UnpicklingError):
+            return None
 
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of a kernel for types and a processor, which are its key."""
