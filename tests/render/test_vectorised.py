@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from render_samples import WHOLE, is_unambiguous, moved, random_pose, rough, smooth, turn
 
+from omnisyn_cli.compute.trigonometry import LOG2_ERROR, log2_fast
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render import quad_kernels
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.trigonometry import LOG2_ERROR, log2_fast
 from reference_rasterizer import rasterize_reference
 
 

@@ -6,9 +6,9 @@ import math
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_subkernel, inlined, kernel, subkernel
+from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render.quad_blocks import BLOCK, PlacedQuads
 from omnisyn_cli.render.simd import LANES, broadcast, load, store
-from omnisyn_cli.render.trigonometry import atan2_fast
 
 __all__ = ["WIDE_QUAD_RADIANS"]
 

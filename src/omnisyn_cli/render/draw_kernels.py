@@ -12,6 +12,7 @@ import numpy as np
 
 from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_subkernel, inlined, inlined_contracting, subkernel
+from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render.box_kernels import (
     COL,
     FIRST_COL,
@@ -40,7 +41,6 @@ from omnisyn_cli.render.quad_kernels import (
     split_exactly,
 )
 from omnisyn_cli.render.simd import LANES, broadcast, load, load_halves, pair, store, store_halves, where
-from omnisyn_cli.render.trigonometry import atan2_fast
 
 MIN_SPAN_COLUMNS = 24
 """Width of a box from which on spans are found: below, testing three vectors is cheaper. Set by hand."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render.shade_kernels import LEVEL, X, Y, Z, find_source_directions
-from omnisyn_cli.render.trigonometry import atan2_fast
 
 
 @fast_kernel()

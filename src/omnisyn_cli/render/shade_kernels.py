@@ -12,6 +12,7 @@ import numpy as np
 
 from omnisyn_cli.compute.arrays import empty, zeros
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
+from omnisyn_cli.compute.trigonometry import atan2_fast, log2_fast
 from omnisyn_cli.render.simd import (
     FIXED_POINT_UNIT,
     FIXED_TEXEL,
@@ -22,7 +23,6 @@ from omnisyn_cli.render.simd import (
     prefetch,
     store_texel_sum,
 )
-from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
 __all__ = ["MAX_FULL_RESOLUTION_LEVEL", "MIP_BIAS"]
 

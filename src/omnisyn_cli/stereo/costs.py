@@ -90,7 +90,7 @@ def census_transform(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.
 def _census_rows(padded, signature, begin, end):  # type: ignore[no-untyped-def]
     buffers = _census_buffers(signature.shape[1])
     for row in range(begin, end):
-        _census_of_row(padded, row, buffers, signature[row])
+        _census_of_row(padded, row, 0, buffers, signature[row])
 
 
 @inlined()
@@ -100,22 +100,23 @@ def _census_buffers(width):  # type: ignore[no-untyped-def]
 
 
 @subkernel()
-def _census_of_row(padded, row, buffers, signature):  # type: ignore[no-untyped-def]
-    """Fills the signatures of a row, in halves of 32 bits: a processor compares twice as many of them at once."""
-    threshold, before, after = buffers
-    own, last = padded[row], len(padded) - 1
+def _census_of_row(padded, row, left, buffers, signature):  # type: ignore[no-untyped-def]
+    """Fills signatures of a row from a column on, in halves of 32 bits: a processor compares twice as many at once."""
+    count = len(signature)
+    threshold, before, after = buffers[0][:count], buffers[1][:count], buffers[2][:count]
+    own, last = padded[row, left:], len(padded) - 1
     centre = own[CENSUS_RADIUS:]
     for col in range(np.uint64(len(signature))):
         threshold[col] = centre[col] + CENSUS_NOISE
         before[col] = after[col] = np.uint32(0)
-    _append_seven(padded[max(row - 3, 0)], threshold, before)
-    _append_seven(padded[max(row - 2, 0)], threshold, before)
-    _append_seven(padded[max(row - 1, 0)], threshold, before)
+    _append_seven(padded[max(row - 3, 0), left:], threshold, before)
+    _append_seven(padded[max(row - 2, 0), left:], threshold, before)
+    _append_seven(padded[max(row - 1, 0), left:], threshold, before)
     _append_three(own, threshold, before)
     _append_three(own[CENSUS_RADIUS + 1 :], threshold, after)
-    _append_seven(padded[min(row + 1, last)], threshold, after)
-    _append_seven(padded[min(row + 2, last)], threshold, after)
-    _append_seven(padded[min(row + 3, last)], threshold, after)
+    _append_seven(padded[min(row + 1, last), left:], threshold, after)
+    _append_seven(padded[min(row + 2, last), left:], threshold, after)
+    _append_seven(padded[min(row + 3, last), left:], threshold, after)
     for col in range(np.uint64(len(signature))):
         signature[col] = (np.uint64(before[col]) << HALF_CENSUS_BITS) | np.uint64(after[col])
 
@@ -256,11 +257,15 @@ def _surface_cost_rows(first, second, disparity, colour, cost, begin, end):  # t
     top, bottom = max(begin - CENSUS_RADIUS, 0), min(end + CENSUS_RADIUS, height)
     luminance = zeros((bottom - top, width + 2 * CENSUS_RADIUS), np.float32)  # 0 where the second image shows nothing
     difference = empty((bottom - top, width), np.float32)
+    seen = empty((bottom - top, 2), np.int64)
     for row in range(top, bottom):
-        _warp_row(first.colours[row], second, disparity[row], row, luminance[row - top], difference[row - top])
+        out = luminance[row - top], difference[row - top], seen[row - top]
+        _warp_row(first.colours[row], second, disparity[row], row, *out)
     buffers, signature = _census_buffers(width), empty(width, np.uint64)
     for row in range(begin, end):
-        _census_of_row(luminance, row - top, buffers, signature)
+        left, right = seen[row - top]
+        if left < right:
+            _census_of_row(luminance, row - top, left, buffers, signature[left:right])
         for col in range(np.uint64(width)):
             differs = difference[row - top, col]
             value = _combine_costs(first.census[row, col] ^ signature[col], differs, colour)
@@ -269,9 +274,20 @@ def _surface_cost_rows(first, second, disparity, colour, cost, begin, end):  # t
 
 
 @inlined()
-def _warp_row(own, second, disparity, row, luminance, difference):  # type: ignore[no-untyped-def]
-    """Luminance of a row of the warped image, and its difference from the colours of the first one; −1 if unusable."""
+def _warp_row(own, second, disparity, row, luminance, difference, seen):  # type: ignore[no-untyped-def]
+    """Fills a row of the warped image.
+
+    Args:
+        own: colours of the first image.
+        second: the image that is warped.
+        disparity: rows.
+        row: that is filled.
+        luminance: written, with columns from beyond the seam.
+        difference: written: of the colours; −1 where nothing is compared.
+        seen: written: the first column where something is compared, and the one after the last.
+    """
     height, width = second.usable.shape
+    seen[0], seen[1] = width, 0
     for col in range(width):
         target = row + disparity[col]
         difference[col] = -1.0
@@ -284,6 +300,7 @@ def _warp_row(own, second, disparity, row, luminance, difference):  # type: igno
             blue = np.float32((1 - share) * upper[2] + share * lower[2])
             luminance[col + CENSUS_RADIUS] = (red + green + blue) / np.float32(3.0)
             if second.usable[r, col] and second.usable[r + 1, col]:
+                seen[0], seen[1] = min(seen[0], col), col + 1
                 difference[col] = abs(own[col, 0] - red) + abs(own[col, 1] - green) + abs(own[col, 2] - blue)
     for k in range(CENSUS_RADIUS):
         luminance[CENSUS_RADIUS - 1 - k] = luminance[CENSUS_RADIUS + (width - 1 - k) % width]

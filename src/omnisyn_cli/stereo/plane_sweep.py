@@ -21,8 +21,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt64
 
-from omnisyn_cli.compute.jit import kernel
+from omnisyn_cli.compute.arrays import empty
+from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.compute.threads import at_most, both, run_ranges
+from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.plane_fitting import (
@@ -32,7 +34,7 @@ from omnisyn_cli.stereo.plane_fitting import (
     fit_to_inliers,
     planes_from_second,
 )
-from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, EpipolarGrid, RectifiedPair
 
 __all__ = ["EXPLAINED_COST", "AxisSweep", "fit_plane", "significant_support", "sweep_directions", "sweep_planes"]
 
@@ -108,11 +110,10 @@ class SweepDirection:
 
     def disparity(self, normals: Float[np.ndarray, "planes 3"]) -> Float32[np.ndarray, "height width"]:
         """Rows for the nearest of some planes; −1 where no ray meets one steeply enough and where is no texture."""
-        grid = self.pair.grid
-        disparity = np.empty(self.pair.size, np.float32)
+        grid, disparity = self.pair.grid, np.empty(self.pair.size, np.float32)
         least = MIN_INCIDENCE_SINE * np.linalg.norm(normals, axis=-1)
         fill = partial(
-            _plane_disparity_rows, grid.directions, grid.polar_angle, self.textured_area, normals, least, disparity
+            _plane_disparity_rows, grid.directions, grid.polar_angle, self.textured_area > 0, normals, least, disparity
         )
         run_ranges(fill, len(disparity))
         return disparity
@@ -123,25 +124,25 @@ class SweepDirection:
             self.pair.first, self.census, self.pair.second, self.pair.second_usable, disparity,
             SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION,
         )  # fmt: skip
-        return np.where(disparity >= 0, cost, np.float32(1.0))
+        return np.minimum(cost, np.float32(1.0))
 
     def matched_points(self, normal: Float[np.ndarray, " 3"]) -> PlanePoints:
         """Points near a plane: where pixels match best that it shows, up to a row and a half to either side."""
         grid = self.pair.grid
         disparity = self.disparity(normal[None])
         average = partial(cv2.blur, ksize=(COST_WINDOW, COST_WINDOW))
-        before, at, after = (
+        costs = [
             filter_across_seam(average, self.cost(np.where(disparity >= 0, np.maximum(disparity + rows, 0.0), -1.0)),
                                COST_WINDOW)
             for rows in (np.float32(-1.0), np.float32(0.0), np.float32(1.0))
-        )  # fmt: skip
+        ]  # fmt: skip
+        row, col = np.nonzero((disparity >= 0) & (np.minimum(costs[1], np.minimum(costs[0], costs[2])) < GOOD_COST))
+        before, at, after = (cost[row, col] for cost in costs)
         curvature = before - 2.0 * at + after
         vertex = 0.5 * (before - after) / np.where(curvature > 0, curvature, np.inf)
         is_inside = (at <= before) & (at <= after)
         offset = np.where(is_inside, vertex, np.where(before < after, -1.0, 1.0))
-        best = np.minimum(at, np.minimum(before, after))
-        row, col = np.nonzero((disparity >= 0) & (best < GOOD_COST))
-        found = np.maximum(disparity[row, col] + offset[row, col], 0.0)
+        found = np.maximum(disparity[row, col] + offset, 0.0)
         inverse_depth, tolerance = grid.inverse_depth(found, row), grid.inverse_depth_per_row(found, row)
         return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, self.textured_area[row, col], row, col)
 
@@ -149,16 +150,25 @@ class SweepDirection:
 Directions = tuple[SweepDirection, SweepDirection]
 
 
+def plane_disparity(grid: EpipolarGrid, normal: Float[np.ndarray, " 3"]) -> Float32[np.ndarray, "height width"]:
+    """Rows for one plane at every pixel; −1 where it is behind the camera."""
+    disparity = np.empty(grid.directions.shape[:2], np.float32)
+    everywhere, least = np.ones(disparity.shape, bool), np.zeros(1)
+    fill = partial(_plane_disparity_rows, grid.directions, grid.polar_angle, everywhere, normal[None], least, disparity)
+    run_ranges(fill, len(disparity))
+    return disparity
+
+
 @kernel()
 def _plane_disparity_rows(  # type: ignore[no-untyped-def]
-    directions, polar_angle, weight, normals, least, disparity, begin, end
+    directions, polar_angle, is_compared, normals, least, disparity, begin, end
 ):
     """Fills some rows of ``disparity``, see :meth:`SweepDirection.disparity`.
 
     Args:
         directions: unit vectors of the pixels.
         polar_angle: of the rows.
-        weight: 0 where nothing is compared.
+        is_compared: elsewhere it is −1.
         normals: of the planes.
         least: inverse depth of each plane where rays graze it.
         disparity: written.
@@ -166,20 +176,24 @@ def _plane_disparity_rows(  # type: ignore[no-untyped-def]
         end: the row after the last.
     """
     height, width = disparity.shape
+    nearest = empty(width, np.float64)
     for row in range(begin, end):
         sine, cosine = math.sin(polar_angle[row, 0]), math.cos(polar_angle[row, 0])
-        for col in range(width):
-            disparity[row, col] = -1.0
-            if weight[row, col] <= 0:
-                continue
-            x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
-            nearest = -1.0
-            for k in range(len(normals)):
-                inverse_depth = normals[k, 0] * x + normals[k, 1] * y + normals[k, 2] * z
-                if inverse_depth > least[k]:
-                    nearest = max(nearest, inverse_depth)
-            if nearest >= 0:
-                disparity[row, col] = math.atan2(nearest * sine, 1.0 - nearest * cosine) * (height / math.pi)
+        nearest[:] = -1.0
+        for k in range(len(normals)):
+            _keep_nearest(directions[row], normals[k, 0], normals[k, 1], normals[k, 2], least[k], nearest)
+        for col in range(np.uint64(width)):
+            shift = nearest[col]
+            parallax = atan2_fast(np.float32(shift * sine), np.float32(1.0 - shift * cosine))
+            is_seen = shift >= 0 and is_compared[row, col]
+            disparity[row, col] = parallax * np.float32(height / math.pi) if is_seen else np.float32(-1.0)
+
+
+@inlined()
+def _keep_nearest(directions, x, y, z, least, nearest):  # type: ignore[no-untyped-def]
+    for col in range(np.uint64(len(nearest))):
+        inverse_depth = x * directions[col, 0] + y * directions[col, 1] + z * directions[col, 2]
+        nearest[col] = inverse_depth if inverse_depth > least and inverse_depth > nearest[col] else nearest[col]
 
 
 def _for_both_directions(directions: Directions, work: Callable[[int, SweepDirection], T]) -> tuple[T, T]:

@@ -8,16 +8,17 @@ Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-ba
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int, UInt16
 
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
 from omnisyn_cli.stereo.plane_fitting import planes_from_second
-from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST
+from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST, plane_disparity
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, resize_area
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
@@ -88,78 +89,114 @@ def label_surfaces(
     is_static = _static_texture(grid, matches)
     is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
     disparities = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
-    cost = _candidate_costs(pair, disparities, options)
-    support = _plane_support(pair, matches, candidates, cost[..., 1 : 1 + len(planes)])
-    if is_sky_open:
-        support = np.concatenate([support, _smoothed_support(is_static)[..., None]], axis=-1)
-    is_beyond = disparities < _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
-    cost += options.outside_floor_ceiling_penalty * is_beyond
-    cost[..., 0] += np.where(matches.valid, options.valid_match_bias, options.invalid_match_bias)
-    cost[..., 1:] += options.unsupported_plane_penalty * (1.0 - support)
-    label = _select_labels(cost, luminance_of(pair.first), disparities < 0, options)
-    disparity = np.take_along_axis(disparities, label[..., None], axis=-1)[..., 0]
+    bound, support = _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open), PlaneSupport.of(pair, matches)
+
+    def bias(k: int, cost: np.ndarray) -> np.ndarray:
+        if k == 0:
+            return np.where(matches.valid, options.valid_match_bias, options.invalid_match_bias)
+        if k > len(planes):
+            known = _smoothed_support(is_static)
+        else:
+            known = support.around(planes[k - 1], bool(candidates.is_swept[k - 1]), cost)
+        return options.unsupported_plane_penalty * (1.0 - known)
+
+    costs = np.empty((*pair.size, len(disparities)), np.uint16)
+    for k, cost in enumerate(_candidate_costs(pair, disparities, options)):
+        own_bias = bias(k, cost)
+        cost += options.outside_floor_ceiling_penalty * (disparities[k] < bound)
+        costs[..., k] = to_fixed_point(cost + own_bias)
+    label = _select_labels(costs, luminance_of(pair.first), disparities, options)
+    disparity = np.take_along_axis(disparities, label[None], axis=0)[0]
     return DisparityMap(disparity, pair.first_usable & ((label > 0) | matches.valid))
 
 
 def _select_labels(
-    cost: np.ndarray, luminance: np.ndarray, is_impossible: np.ndarray, options: MatchingOptions
-) -> np.ndarray:
+    costs: UInt16[np.ndarray, "height width candidates"], luminance: np.ndarray, disparities: np.ndarray,
+    options: MatchingOptions,
+) -> Int[np.ndarray, "height width"]:  # fmt: skip
     """The index of the best candidate of each pixel: semi-global matching over labels, which have no order."""
-    labels = DisparityRange.from_bounds(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
+    labels = DisparityRange.from_bounds(np.zeros(luminance.shape, np.int32), len(disparities) - 1)
     penalty = options.label_penalty
-    total = aggregate_costs(
-        to_fixed_point(cost).ravel(), labels, luminance, penalty, penalty, options.label_contrast
-    ).reshape(cost.shape)
-    total[is_impossible] = IMPOSSIBLE_COST
+    total = aggregate_costs(costs.ravel(), labels, luminance, penalty, penalty, options.label_contrast)
+    total = total.reshape(costs.shape)
+    for k, disparity in enumerate(disparities):
+        total[..., k][disparity < 0] = IMPOSSIBLE_COST
     return np.asarray(total.argmin(axis=-1))
 
 
 def _candidate_disparities(
     grid: EpipolarGrid, matches: DisparityMap, planes: np.ndarray, options: MatchingOptions, *, is_sky_open: bool
-) -> Float32[np.ndarray, "height width candidates"]:
+) -> Float32[np.ndarray, "candidates height width"]:
     """Disparities of the matches, of the planes, and of infinity if the sky is open."""
     lowest = least_ground_disparity(grid, options)
-    candidates = [matches.disparity]
-    for normal in planes:
-        disparity = grid.disparity(grid.directions @ normal)
-        candidates.append(np.where(disparity < lowest, NOT_VISIBLE_DISPARITY, disparity))
+    candidates = np.empty((1 + len(planes) + is_sky_open, *lowest.shape), np.float32)
+    candidates[0] = matches.disparity
+    for k, normal in enumerate(planes):
+        disparity = plane_disparity(grid, normal)
+        candidates[1 + k] = np.where(disparity < lowest, NOT_VISIBLE_DISPARITY, disparity)
     if is_sky_open:
-        candidates.append(np.where(grid.sin_elevation > 0, 0.0, NOT_VISIBLE_DISPARITY).astype(np.float32))
-    return np.stack(candidates, axis=-1)
+        candidates[-1] = np.where(grid.sin_elevation > 0, 0.0, NOT_VISIBLE_DISPARITY)
+    return candidates
 
 
-def _candidate_costs(pair: RectifiedPair, candidates: np.ndarray, options: MatchingOptions) -> np.ndarray:
+def _candidate_costs(
+    pair: RectifiedPair, candidates: np.ndarray, options: MatchingOptions
+) -> Iterator[Float32[np.ndarray, "height width"]]:
+    """One after the other: all of them would not fit the cache of a processor."""
     signature = census_transform(luminance_of(pair.first))
-    costs = [
-        surface_cost(
-            pair.first, signature, pair.second, pair.second_usable, np.ascontiguousarray(disparity),
-            options.colour_weight, options.colour_truncation,
-        )
-        for disparity in np.moveaxis(candidates, -1, 0)
-    ]  # fmt: skip
-    return np.stack(costs, axis=-1)
+    for disparity in candidates:
+        yield surface_cost(
+            pair.first, signature, pair.second, pair.second_usable, disparity, options.colour_weight,
+            options.colour_truncation,
+        )  # fmt: skip
 
 
-def _plane_support(
-    pair: RectifiedPair, matches: DisparityMap, candidates: CandidatePlanes, cost: np.ndarray
-) -> Float32[np.ndarray, "height width planes"]:
-    """How much speaks for each plane around every pixel, in [0, 1].
+class PlaneSupport(NamedTuple):
+    """What speaks for planes: matches on them, and for swept planes texture that they explain.
 
-    Matches on it do, and for a swept plane texture that it explains. A fitted one would find such texture by chance.
+    Attributes:
+        size: of the image.
+        pixels: index of those with a valid match.
+        directions: of these.
+        inverse_depth: of these.
+        tolerance: of these.
+        textured: where there is texture.
+        texture: how much of it is around each pixel.
     """
-    grid = pair.grid
-    inverse_depth, tolerance = grid.inverse_depth(matches.disparity), grid.inverse_depth_per_row(matches.disparity)
-    textured = is_textured(pair.first)
-    texture = np.maximum(_density(textured), FULL_PLANE_SUPPORT_DENSITY)
-    support = np.empty_like(cost)
-    for k, (normal, is_swept) in enumerate(zip(*candidates, strict=True)):
-        support[..., k] = _smoothed_support(
-            matches.valid & (np.abs(grid.directions @ normal - inverse_depth) < tolerance)
-        )
-        if is_swept:
-            share = _density(textured & (cost[..., k] < EXPLAINED_COST)) / texture
-            support[..., k] = np.maximum(support[..., k], np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
-    return support
+
+    size: tuple[int, int]
+    pixels: Int[np.ndarray, " matches"]
+    directions: Float[np.ndarray, "matches 3"]
+    inverse_depth: Float[np.ndarray, " matches"]
+    tolerance: Float[np.ndarray, " matches"]
+    textured: Bool[np.ndarray, "height width"]
+    texture: Float32[np.ndarray, "height width"]
+
+    @staticmethod
+    def of(pair: RectifiedPair, matches: DisparityMap) -> PlaneSupport:
+        """What speaks for the planes of a pair."""
+        grid, textured, (row, col) = pair.grid, is_textured(pair.first), np.nonzero(matches.valid)
+        disparity = matches.disparity[row, col]
+        return PlaneSupport(
+            pair.size, np.flatnonzero(matches.valid), grid.directions[row, col], grid.inverse_depth(disparity, row),
+            grid.inverse_depth_per_row(disparity, row), textured,
+            np.maximum(_density(textured), FULL_PLANE_SUPPORT_DENSITY),
+        )  # fmt: skip
+
+    def around(
+        self, normal: Float[np.ndarray, " 3"], is_swept: bool, cost: Float32[np.ndarray, "height width"]
+    ) -> Float32[np.ndarray, "height width"]:
+        """How much speaks for a plane around every pixel, in [0, 1].
+
+        Texture does for a swept plane only: a fitted one would find such texture by chance.
+        """
+        is_on_plane = np.zeros(self.size, bool)
+        is_on_plane.ravel()[self.pixels] = np.abs(self.directions @ normal - self.inverse_depth) < self.tolerance
+        by_matches = _smoothed_support(is_on_plane)
+        if not is_swept:
+            return by_matches
+        share = _density(self.textured & (cost < EXPLAINED_COST)) / self.texture
+        return np.maximum(by_matches, np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
 
 
 def _smoothed_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
