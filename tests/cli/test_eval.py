@@ -16,6 +16,9 @@ from synthesis_samples import posed, write_hall
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
 
 
+METHODS = ("crossfade", "oracle-depth", "omnisyn-paper")
+
+
 @pytest.fixture
 def scenes(tmp_path: Path) -> Path:
     """One scene with a true frame, one without."""
@@ -37,23 +40,24 @@ def no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def arguments(scenes: Path, *more: object) -> list[object]:
-    return ["eval", scenes, "--methods", "crossfade,oracle-depth,omnisyn-paper", "--threads", 1, *more]
+    return ["eval", scenes, "--methods", ",".join(METHODS), "--threads", 1, *more]
 
 
 def test_the_table_has_the_means_and_every_reason(omnisyn: Omnisyn, scenes: Path) -> None:
     before = listing(scenes)
     result = omnisyn.made(*arguments(scenes))
-    reasons = ("omnisyn-paper: unavailable: ", "pair: skipped: ")
-    for expected in ("crossfade", "oracle-depth (upper bound)", "WS-PSNR", *reasons):
+    titles = ("WS-PSNR", "Some pairs have no true frames", "Shards")
+    for expected in ("crossfade", "oracle-depth (upper bound)", *titles, "omnisyn-paper: unavailable: "):
         assert expected in result.out
+    assert "Shards" not in omnisyn.made(*arguments(scenes / "hall")).out
     assert listing(scenes) == before
 
 
 def test_json_is_everything_that_was_measured(omnisyn: Omnisyn, scenes: Path, tmp_path: Path) -> None:
     values = json.loads(omnisyn.quiet(*arguments(scenes, "--json", "--quiet", "--report", tmp_path / "report")).out)
     assert [(unit["scene"], unit["method"], unit["status"]) for unit in values["units"]] == [
-        ("pair", "", "skipped"), ("hall", "crossfade", "done"), ("hall", "oracle-depth", "done"),
-        ("hall", "omnisyn-paper", "unavailable"),
+        (scene, method, status) for scene in ("hall", "pair")
+        for method, status in (("crossfade", "done"), ("oracle-depth", "done"), ("omnisyn-paper", "unavailable"))
     ]  # fmt: skip
     assert values["units"] == [record.to_json() for record in read_records(tmp_path / "report")]
 
@@ -63,7 +67,8 @@ def test_what_is_done_is_said_in_lines_where_nobody_sees_a_bar(omnisyn: Omnisyn,
     result = omnisyn(*arguments(scenes, "--report", tmp_path / "report"))
     first, *lines = result.err.splitlines()
     assert first.startswith(f"note: results are kept in {tmp_path / 'report'} as they come; started again, the command")
-    assert lines == ["1/3 hall crossfade", "2/3 hall oracle-depth", "3/3 hall omnisyn-paper"]
+    units = [f"{scene} {method}" for scene in ("hall", "pair") for method in METHODS]
+    assert lines == [f"{number}/6 {unit}" for number, unit in enumerate(units, start=1)]
     unkept = omnisyn(*arguments(scenes))
     assert unkept.err.splitlines()[0].startswith("note: results are printed at the end and kept nowhere; --report DIR")
     assert "hall crossfade" not in unkept.out
@@ -122,8 +127,8 @@ def test_depth_outside_of_a_scene_is_read_only_if_allowed(omnisyn: Omnisyn, scen
 
 
 def test_pairs_can_be_chosen(omnisyn: Omnisyn, scenes: Path) -> None:
-    (unit,) = omnisyn.json(*arguments(scenes / "hall", "--pairs", "0:1"))["units"]
-    assert (unit["first"], unit["second"], unit["status"]) == ("p0.png", "p1.png", "skipped")
+    unit, *_ = omnisyn.json(*arguments(scenes / "hall", "--pairs", "0:1"))["units"]
+    assert (unit["first"], unit["second"], unit["frames"][0]["name"]) == ("p0.png", "p1.png", "half way")
 
 
 @pytest.mark.parametrize(

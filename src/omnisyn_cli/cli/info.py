@@ -28,7 +28,7 @@ from omnisyn_cli.cli.terminal import print_json, say
 @click.option("--overwrite", is_flag=True, help="Replace the report if it exists.")
 @click.pass_context
 def info(
-    context: click.Context, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
+    context: click.Context, /, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
     report: Path | None, **options: Any,
 ) -> None:  # fmt: skip
     """Show what the program reads in panoramas, depth files, pose files and videos.
