@@ -50,6 +50,9 @@ def test_the_table_has_the_means_and_every_reason(omnisyn: Omnisyn, scenes: Path
     for expected in ("crossfade", "oracle-depth (upper bound)", *titles, "omnisyn-paper: unavailable: "):
         assert expected in result.out
     assert "Shards" not in omnisyn.made(*arguments(scenes / "hall")).out
+    alone = omnisyn.made(*arguments(scenes / "pair")).out
+    assert "WS-PSNR" not in alone
+    assert "crossfade: no frame between the panoramas" in alone
     assert listing(scenes) == before
 
 

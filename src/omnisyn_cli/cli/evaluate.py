@@ -158,7 +158,8 @@ def print_table(shown: Table, title: str | None = None) -> None:
     for row in shown.rows:
         cells = [format_cell(cell, column.digits) for cell, column in zip(row.cells, shown.columns, strict=False)]
         table.add_row(printable(f"{row.name} (upper bound)" if row.is_bound else row.name), *cells)
-    Console(width=None if sys.stdout.isatty() else TABLE_COLUMNS, markup=False).print(table)
+    if any(row.cells for row in shown.rows):
+        Console(width=None if sys.stdout.isatty() else TABLE_COLUMNS, markup=False).print(table)
     if any(not math.isnan(cell.error) for row in shown.rows for cell in row.cells):
         say(ERROR_NOTE.partition(". ")[0])
     for row in shown.rows:
