@@ -9,7 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Int
 
 from omnisyn_cli.compute.arrays import zeros
 from omnisyn_cli.compute.jit import fast_kernel, kernel
@@ -141,19 +141,19 @@ def find_planes(
     of_second = planes_from_second(_propose_planes(points[1], HALF_TURN_ABOUT_Z @ up, rng))
     proposals = np.concatenate([_propose_planes(points[0], up, rng), of_second[np.isfinite(of_second).all(axis=-1)]])
     chosen = rng.choice(count, min(MAX_SCORED_POINTS, count), replace=False)
-    equations, weight = equations.subset(chosen), solid_angle[chosen].astype(np.float32)
+    equations, weight = equations.subset(chosen), solid_angle[chosen].astype(np.float64)
     inliers = _inlier_matrix(proposals, equations)
-    support, total = weight @ inliers, float(weight.sum())
+    support, total = _support(inliers, weight), float(weight.sum())
     planes: list[np.ndarray] = []
     while len(planes) < max_planes and support.max() >= min_support * total:
         best = int(support.argmax())
         planes.append(fit_to_inliers(proposals[best], equations, weight > 0))
         residual = equations.rays @ planes[-1] - equations.inverse_depth
         is_near = np.abs(residual) < EXPLAINED_TOLERANCE_FACTOR * equations.scaled_tolerance(planes[-1])
-        explained = np.flatnonzero((is_near | (inliers[:, best] > 0)) & (weight > 0))
-        support -= weight[explained] @ inliers[explained]  # each point supports one plane only
+        is_explained = is_near | inliers[:, best]
+        support -= _support(inliers, weight * is_explained)  # each point supports one plane only
         support[best] = 0.0
-        weight[explained] = 0.0
+        weight[is_explained] = 0.0
     return np.array(planes).reshape(-1, 3)
 
 
@@ -167,9 +167,9 @@ def _propose_planes(points: PlanePoints, up: np.ndarray, rng: np.random.Generato
 
 def _inlier_matrix(
     proposals: Float[np.ndarray, "proposals 3"], equations: PlaneEquations
-) -> Float32[np.ndarray, "points proposals"]:
-    """1 where the proposal explains the point; float32, so that support is a fast matrix product."""
-    out = np.empty((len(equations.rays), len(proposals)), np.float32)
+) -> Bool[np.ndarray, "points proposals"]:
+    """Which proposals explain which points."""
+    out = np.empty((len(equations.rays), len(proposals)), np.bool_)
     # A plane behind the second camera explains nothing that it sees.
     distance_share = np.stack([np.ones(len(proposals)), np.maximum(1.0 - proposals @ SECOND_CAMERA, 0.0)])
     run_ranges(partial(_mark_inliers, proposals, distance_share, equations, out), len(out))
@@ -184,7 +184,27 @@ def _mark_inliers(proposals, distance_share, equations, out, begin, end):  # typ
         known, allowed, share = inverse_depth[i], tolerance[i], distance_share[1 if equations.is_second[i] else 0]
         for k in range(len(proposals)):
             predicted = proposals[k, 0] * x + proposals[k, 1] * y + proposals[k, 2] * z
-            out[i, k] = np.float32(1.0) if abs(predicted - known) < allowed * share[k] else np.float32(0.0)
+            out[i, k] = abs(predicted - known) < allowed * share[k]
+
+
+def _support(
+    inliers: Bool[np.ndarray, "points proposals"], weight: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, " proposals"]:
+    """Total weight of the points that each proposal explains."""
+    support = np.zeros(inliers.shape[1])
+    as_numbers = inliers.view(np.uint8)  # a product vectorises, a choice does not
+    run_ranges(partial(_add_weights, as_numbers, weight, support), len(support))
+    return support
+
+
+@kernel()
+def _add_weights(inliers, weight, support, begin, end):  # type: ignore[no-untyped-def]
+    chosen = support[begin:end]
+    for i in range(len(weight)):
+        explained = inliers[i, begin:end]
+        if weight[i] > 0:
+            for k in range(np.uint64(len(chosen))):
+                chosen[k] += weight[i] * np.float64(explained[k])
 
 
 def _propose_by_windows(points: PlanePoints, side: int) -> np.ndarray:
