@@ -57,7 +57,10 @@ class _Code(JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Ingredient(_Code):
-    """Code of a subkernel. Kernels that it is part of optimise it and make it machine code; numba would do so twice."""
+    """Code of a subkernel. It is made machine code with kernels that it is part of; numba would do so twice.
+
+    It is optimised by itself all the same: of loops that are not, many do not vectorise within a kernel any more.
+    """
 
     @property
     def codegen(self) -> "_Ingredient":
@@ -65,9 +68,6 @@ class _Ingredient(_Code):
 
     def set_env(self, name: str, env: Any) -> None:
         """Numba's place for an environment is in machine code, which there is none of."""
-
-    def _optimize_final_module(self) -> None:
-        pass
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()

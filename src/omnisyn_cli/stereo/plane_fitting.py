@@ -172,19 +172,20 @@ def _inlier_matrix(
     out = np.empty((len(equations.rays), len(proposals)), np.bool_)
     # A plane behind the second camera explains nothing that it sees.
     distance_share = np.stack([np.ones(len(proposals)), np.maximum(1.0 - proposals @ SECOND_CAMERA, 0.0)])
-    run_ranges(partial(_mark_inliers, proposals, distance_share, equations, out), len(out))
+    run_ranges(partial(_mark_inliers, np.ascontiguousarray(proposals.T), distance_share, equations, out), len(out))
     return out
 
 
 @fast_kernel()
 def _mark_inliers(proposals, distance_share, equations, out, begin, end):  # type: ignore[no-untyped-def]
     rays, inverse_depth, tolerance = equations.rays, equations.inverse_depth, equations.tolerance
+    x, y, z = proposals[0], proposals[1], proposals[2]
     for i in range(begin, end):
-        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
-        known, allowed, share = inverse_depth[i], tolerance[i], distance_share[1 if equations.is_second[i] else 0]
-        for k in range(len(proposals)):
-            predicted = proposals[k, 0] * x + proposals[k, 1] * y + proposals[k, 2] * z
-            out[i, k] = abs(predicted - known) < allowed * share[k]
+        ray, known, allowed = rays[i], inverse_depth[i], tolerance[i]
+        share, explained = distance_share[1 if equations.is_second[i] else 0], out[i]
+        for k in range(np.uint64(len(explained))):
+            predicted = x[k] * ray[0] + y[k] * ray[1] + z[k] * ray[2]
+            explained[k] = abs(predicted - known) < allowed * share[k]
 
 
 def _support(
