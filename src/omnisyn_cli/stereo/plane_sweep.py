@@ -124,7 +124,7 @@ class SweepDirection:
             self.pair.first, self.census, self.pair.second, self.pair.second_usable, disparity,
             SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION,
         )  # fmt: skip
-        return np.minimum(cost, np.float32(1.0))
+        return np.asarray(np.minimum(cost, np.float32(1.0)))
 
     def matched_points(self, normal: Float[np.ndarray, " 3"]) -> PlanePoints:
         """Points near a plane: where pixels match best that it shows, up to a row and a half to either side."""

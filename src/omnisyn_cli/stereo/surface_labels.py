@@ -196,7 +196,7 @@ class PlaneSupport(NamedTuple):
         if not is_swept:
             return by_matches
         share = _density(self.textured & (cost < EXPLAINED_COST)) / self.texture
-        return np.maximum(by_matches, np.minimum(share / FULL_EXPLAINED_SHARE, 1.0))
+        return np.asarray(np.maximum(by_matches, np.minimum(share / FULL_EXPLAINED_SHARE, 1.0)))
 
 
 def _smoothed_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
