@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.image_networks import CompletionSession, DirectFusionSession, ResidualFusionSession
+from omnisyn_cli.runtime.image_networks import (
+    CompletionSession,
+    DirectFusionSession,
+    GuidedDepthSession,
+    ResidualFusionSession,
+)
+from omnisyn_cli.runtime.session import open_model
 
 
 class Session:
@@ -14,7 +20,7 @@ class Session:
         self.answers, self.inputs, self.outputs = answers, inputs, outputs
 
     def get_inputs(self):
-        return [SimpleNamespace(name=name) for name in self.inputs]
+        return [SimpleNamespace(name=name, shape=(1, 1)) for name in self.inputs]
 
     def get_outputs(self):
         return [SimpleNamespace(name=name) for name in self.outputs]
@@ -76,3 +82,17 @@ def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again(
     np.testing.assert_array_equal(found, planes[:2])
     with pytest.raises(InputError, match="a completion model with the input 'planes'"):
         CompletionSession(Session([], inputs=("first", "second")))
+
+
+def test_a_guided_depth_network_is_asked_without_guidance_and_answers_in_the_unit_of_the_way() -> None:
+    """A plain grey room says nothing about parallax: whatever the way is called, the network guesses alike."""
+    ask = GuidedDepthSession(open_model("depth-guided", threads=1, keeps_memory=False))
+    grey = np.full((3, 256, 512), 0.5, np.float32)
+    short, long = (ask(grey, grey, np.array([0.0, 0.0, -length])) for length in (1.0, 2.25))
+    for inverse_depth, confidence in (short, long):
+        assert inverse_depth.shape == confidence.shape == (256, 512)
+        assert inverse_depth.min() >= 0.0
+        assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
+    assert np.median(long[0] / short[0]) == pytest.approx(1.0, abs=0.2)
+    with pytest.raises(InputError, match="a guided depth model with the inputs 'first'"):
+        GuidedDepthSession(Session([]))

@@ -9,9 +9,10 @@ estimates, which is the density of the mesh), ``renderer`` (``two-pass``), ``fus
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
 does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``views=1`` (only the first
 panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
-neighbours); those whose depth a network refines take ``rows`` (that it is looked for at) and ``model=none`` (all else
-as it is, without that network): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
-``omnisyn-balanced:model=none:fusion=geometric``, which is ``balanced`` with nothing learned in it.
+neighbours); those whose depth a network refines take ``rows`` (that it is looked for at), ``model=none`` (all else as
+it is, without that network) and ``prior=none`` (without the one that says what to expect): ``matching:cut=0.02``,
+``oracle-depth:metres=2:depth=512x256``, ``omnisyn-balanced:model=none:prior=none:fusion=geometric``, which is
+``balanced`` with nothing learned in it.
 """
 
 import time
@@ -240,8 +241,8 @@ BASES: Mapping[str, ComparedMethod] = {
 FUSION_PARAMETERS = {f"fusion={name}": name for name in FUSIONS}
 """Fusions by the parameter that asks for them."""
 
-WITHOUT_NETWORK = "model=none"
-"""Refined depth without its network."""
+WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {"model=none": {"model": None}, "prior=none": {"prior": None}}
+"""Refined depth without one of its networks."""
 
 LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
 """What parameters leave out of a config."""
@@ -314,11 +315,11 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
 
 
 def _changed_source(source: DepthSource, parameter: str) -> DepthSource | None:
-    """Refined depth of other rows or without its network; None where the parameter says neither."""
+    """Refined depth of other rows or without a network; None where the parameter says neither."""
     key, _, value = parameter.partition("=")
     if key == "rows" and int(value) >= MIN_ROWS:
         return replace(source, rows=int(value))
-    return replace(source, model=None) if parameter == WITHOUT_NETWORK else None
+    return replace(source, **WITHOUT_NETWORK[parameter]) if parameter in WITHOUT_NETWORK else None
 
 
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}

@@ -36,7 +36,7 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     has_default_cut = job.cut is None and job.cut_metres is None
     is_as_published = job.fallback == "soft" and job.preset in REPRODUCTIONS  # which know nothing of soft surfaces
     return RunConfig(
-        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults)),
+        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults), _prior(kind, defaults)),
         cut=defaults.cut if has_default_cut else job.cut,
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
         fallback="none" if is_as_published else job.fallback, device=job.device,
@@ -103,6 +103,11 @@ def _model(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
     if model is None:
         raise InputError(f"expected a model for depth {kind!r}, got none; name one (--model)")
     return model
+
+
+def _prior(kind: str, defaults: RunConfig) -> str | None:
+    """The network that says what depth to expect, where the preset has one."""
+    return defaults.depth.prior if kind == defaults.depth.kind else None
 
 
 def _fusion(job: InterpolationJob, kind: str, defaults: RunConfig) -> str:

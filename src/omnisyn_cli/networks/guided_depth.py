@@ -234,7 +234,8 @@ class GuidedDepthNetwork(Network):
         Args:
             first: colours in [0, 1].
             second: of the other camera, held alike.
-            towards: unit vector from the first camera to the second.
+            towards: from the first camera to the second. Its length is that of the baseline in the unit of the
+                answer: a longer one reaches nearer surfaces.
             guidance: see :data:`GUIDANCE_CHANNELS`; a quarter of the height and width.
 
         Raises:
@@ -266,6 +267,7 @@ class GuidedDepthNetwork(Network):
         config = self.config
         batch, channels, height, width = sizes(first)
         groups, spheres = config.groups, config.spheres
+        ahead = functional.normalize(towards, dim=1)
         sqrt_inv_depths = torch.linspace(0.0, config.max_sqrt_inv_depth, spheres, device=first.device)
         directions = feature_directions((height, width), FEATURE_SHIFT, first)
         azimuth, polar = sweep_grid(directions, at_least_single(towards), sqrt_inv_depths)
@@ -284,9 +286,9 @@ class GuidedDepthNetwork(Network):
         costs = (unit_first.unsqueeze(3) * warped).sum(dim=2)  # (batch, groups, spheres, height, width)
         mean = at_least_single(costs.mean(dim=1))
         expected = (sqrt_inv_depths[:, None, None] * (SHARPNESS * mean).softmax(dim=1)).sum(dim=1, keepdim=True)
-        cosine = (directions * towards[:, None, None, :]).sum(dim=-1).unsqueeze(1)
+        cosine = (directions * ahead[:, None, None, :]).sum(dim=-1).unsqueeze(1)
         plain = directions.permute(2, 0, 1).expand(batch, 3, height, width)
-        slope = towards[:, 1].view(batch, 1, 1, 1).expand(batch, 1, height, width)
+        slope = ahead[:, 1].view(batch, 1, 1, 1).expand(batch, 1, height, width)
         geometry = torch.cat([plain, cosine, slope, mean.amax(dim=1, keepdim=True), expected], dim=1)
         return costs.reshape(batch, groups * spheres, height, width), geometry.to(costs.dtype)
 

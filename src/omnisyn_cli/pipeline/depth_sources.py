@@ -6,7 +6,7 @@ A new source is its estimator's module and a row of :data:`DEPTH_SOURCES`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +21,16 @@ if TYPE_CHECKING:
 __all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "DepthSource", "make_estimator"]
 
 Size = tuple[int, int]
-EstimatorMaker = Callable[["DepthSource", Callable[[], Any], "int | None"], "DepthEstimator"]
+EstimatorMaker = Callable[["DepthSource", Callable[..., Any], "int | None"], "DepthEstimator"]
 
 SYNSIN_DEPTH = "synsin-depth"
 """Name in the manifest of the network that finds depth in one panorama."""
 
 PROGRAM_BYTES = 345e6
 """Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures."""
+
+PRIOR_BYTES = 110e6
+"""Of the network that says what to expect, whose input has one size; measured likewise."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,14 @@ class DepthSource:
             its own.
         model: name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves
             the network out, to compare with.
+        prior: likewise of the network that says what depth to expect where the baseline is wide, for ``refined``; None
+            leaves it out.
     """
 
     kind: str = "file"
     rows: int = 512
     model: str | None = None
+    prior: str | None = None
 
     @property
     def strategy(self) -> DepthStrategy:
@@ -55,7 +61,11 @@ class DepthSource:
     @property
     def networks(self) -> tuple[str, ...]:
         """Those that have a part in it."""
-        return () if self.model is None else (self.model,)
+        return tuple(name for name in (self.model, self.prior) if name is not None)
+
+    def bytes_of_program(self, grids: Sequence[Size]) -> float:
+        """Memory of the program and its networks, given the sizes of surfaces from coarse to fine."""
+        return self.strategy.bytes_of_program(grids) + (0.0 if self.prior is None else PRIOR_BYTES)
 
 
 def _matching_size(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
@@ -73,7 +83,7 @@ class DepthStrategy:
     Attributes:
         name: as users choose it.
         help: what it is, for the help of ``--depth``.
-        make: makes the estimator of its settings, a function that opens their network, and the number of threads.
+        make: makes the estimator of its settings, a function that opens a network by name, and the number of threads.
         grid_sizes: height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the
             depth files of the panoramas.
         reads_files: whether depth comes with the panoramas and is not estimated.
@@ -132,7 +142,7 @@ def _refined_sizes(source: DepthSource, picture_rows: int, files: Sequence[Path]
     return list(refinement_sizes(source.rows, picture_rows))
 
 
-def _make_files(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_files(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.types import KnownDepth
 
     return KnownDepth()
@@ -146,28 +156,29 @@ def _matching(source: DepthSource, threads: int | None) -> MatchingDepthEstimato
     return MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
 
 
-def _make_matching(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_matching(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
     return _matching(source, threads)
 
 
-def _make_refined(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
-    from omnisyn_cli.runtime.image_networks import CompletionSession
+def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.runtime.image_networks import CompletionSession, GuidedDepthSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
-    refinement = None if source.model is None else CompletionSession(network())
-    return RefinedDepthEstimator(_matching(source, threads), refinement, source.rows)
+    prior = None if source.prior is None else GuidedDepthSession(network(source.prior, keeps_memory=False))
+    refinement = None if source.model is None else CompletionSession(network(source.model))
+    return RefinedDepthEstimator(replace(_matching(source, threads), prior=prior), refinement, source.rows)
 
 
-def _make_network(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_network(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 
-    return LearnedDepthEstimator(network())
+    return LearnedDepthEstimator(network(source.model))
 
 
-def _make_monocular(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_monocular(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator
 
-    return MonocularDepthEstimator(network())
+    return MonocularDepthEstimator(network(source.model))
 
 
 DEPTH_SOURCES: Mapping[str, DepthStrategy] = MappingProxyType({
@@ -204,11 +215,11 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
     loaded, or not on that device.
     """
 
-    def open_network() -> Any:
+    def open_network(name: str | None, *, keeps_memory: bool = True) -> Any:
         from omnisyn_cli.runtime.session import open_model
 
-        if source.model is None:
+        if name is None:
             raise ValueError("expected the name or path of a model, got none")
-        return open_model(source.model, device=device, threads=threads)
+        return open_model(name, device=device, threads=threads, keeps_memory=keeps_memory)
 
     return source.strategy.make(source, open_network, threads)

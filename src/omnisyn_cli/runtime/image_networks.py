@@ -6,12 +6,12 @@ All raise InputError for a session of another kind, and for a model that answers
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["CompletionSession", "DirectFusionSession", "ResidualFusionSession"]
+__all__ = ["CompletionSession", "DirectFusionSession", "GuidedDepthSession", "ResidualFusionSession"]
 
 SIZE_MULTIPLE = 32
 """The completion network halves its input five times: heights and widths are multiples of this."""
@@ -33,6 +33,38 @@ class CompletionSession:
         padded, (height, width) = _padded(channels), channels.shape[1:]
         inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
         return inverse_depth[:height, :width], confidence[:height, :width]
+
+
+class GuidedDepthSession:
+    """Two upright panoramas in, depth of the first out; a :class:`omnisyn_cli.stereo.expected_depth.PriorModel`.
+
+    Nothing was matched when it is asked, so its guidance is zero.
+    """
+
+    def __init__(self, session: Any) -> None:
+        shapes = {entry.name: tuple(entry.shape) for entry in session.get_inputs()}
+        if list(shapes) != ["first", "second", "towards", "guidance"]:
+            raise InputError(
+                "expected a guided depth model with the inputs 'first', 'second', 'towards' and 'guidance', got "
+                f"{list(shapes)}; name another"
+            )
+        self._session = session
+        self._no_guidance = np.zeros(shapes["guidance"], np.float32)
+
+    def __call__(
+        self,
+        first: Float32[np.ndarray, "3 height width"],
+        second: Float32[np.ndarray, "3 height width"],
+        towards: Float[np.ndarray, " 3"],
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+        """Inverse depth in the unit of ``towards``, and the probability that depth is within 10 %."""
+        inputs = {
+            "first": first[None],
+            "second": second[None],
+            "towards": towards.astype(np.float32).reshape(1, 3, 1, 1),
+            "guidance": self._no_guidance,
+        }
+        return run_depth_network(self._session, inputs, first.shape[1:])
 
 
 class ResidualFusionSession:

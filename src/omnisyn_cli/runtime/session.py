@@ -22,13 +22,14 @@ PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 """ONNX Runtime's names of them."""
 
 
-def open_session(path: Path, *, device: str = "auto", threads: int | None = None) -> Any:
+def open_session(path: Path, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
     """A session of the model at ``path``.
 
     Args:
         path: of the ONNX file.
         device: ``auto`` takes CUDA if this ONNX Runtime has it.
         threads: cap on the processor threads of one operation; None = all.
+        keeps_memory: for the next run; a network that seldom runs gives it back, and is a little slower.
 
     Raises InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
     """
@@ -38,6 +39,7 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
     options.log_severity_level = 3
     options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # who waits sleeps: a quarter less work
+    options.enable_cpu_mem_arena = options.enable_mem_pattern = keeps_memory
     if threads is not None:
         options.intra_op_num_threads = threads
     providers = _providers(device, onnxruntime.get_available_providers())
@@ -49,17 +51,18 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
         ) from error
 
 
-def open_model(name: str, *, device: str = "auto", threads: int | None = None) -> Any:
+def open_model(name: str, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
     """A session of a model that is installed, or of an ONNX file.
 
     Args:
         name: in the manifest, or a path.
         device: see :func:`open_session`.
         threads: likewise.
+        keeps_memory: likewise.
 
     Raises InputError: it cannot be found, or see :func:`open_session`.
     """
-    return open_session(find_model(name), device=device, threads=threads)
+    return open_session(find_model(name), device=device, threads=threads, keeps_memory=keeps_memory)
 
 
 def check_device_of_networks(device: str) -> None:

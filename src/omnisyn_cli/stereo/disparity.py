@@ -15,7 +15,8 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
 from omnisyn_cli.geometry.tolerances import LEFT_RIGHT_TOLERANCE
 from omnisyn_cli.stereo.costs import cost_volume, luminance_of
-from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair
+from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
+from omnisyn_cli.stereo.rectify import RectifiedPair
 from omnisyn_cli.stereo.semi_global import DisparityRange, aggregate_costs, uniqueness_margin, winner_takes_all
 
 ROWS_BEYOND_EPIPOLE = 4
@@ -125,13 +126,15 @@ class LeftRightTolerance(NamedTuple):
 def match_disparities(
     pair: RectifiedPair, disparities: DisparityRange, options: MatchingOptions, *, is_complete_range: bool
 ) -> tuple[DisparityMap, UInt16[np.ndarray, " costs"]]:
-    """Cost volume, semi-global matching and winner-takes-all over the given ranges; also the costs.
+    """Cost volume with the prior, semi-global matching and winner-takes-all over the given ranges; also the costs.
 
     ``is_complete_range`` says that no other disparities exist.
     """
     cost = cost_volume(
         pair.first, pair.second, pair.second_usable, disparities, options.colour_weight, options.colour_truncation
     )
+    if pair.prior is not None:
+        pair.prior.add_to(cost, disparities)
     luminance = luminance_of(pair.first)
     total = aggregate_costs(cost, disparities, luminance, options.p1, options.p2, options.p2_contrast)
     disparity, margin = winner_takes_all(total, disparities, is_complete_range=is_complete_range)

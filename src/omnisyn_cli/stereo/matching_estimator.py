@@ -23,11 +23,14 @@ from omnisyn_cli.stereo.disparity import (
     left_right_check,
     match_all_disparities,
 )
+from omnisyn_cli.stereo.epipolar_grid import MAX_INVERSE_DEPTH
+from omnisyn_cli.stereo.expected_depth import PriorModel, with_priors
+from omnisyn_cli.stereo.expected_planes import expected_planes
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import sweep_planes
-from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
 from omnisyn_cli.stereo.surface_labels import CandidatePlanes, label_surfaces
@@ -44,6 +47,10 @@ MAX_WALL_TILT_SINE = 0.1
 STEEP_SINE, NARROW_MATCHED_SHARE = 0.26, 0.6
 """A pair is narrow if matches are consistent in 60 % of the texture that is 15° or more below the horizon, and above.
 Walks of 1 m through generated rooms and streets are, walks of 3 m are not."""
+
+WELL_MATCHED_SHARE = 0.8
+"""Share of the sphere that is measured from which on nothing is expected. (Of 19 generated pairs those with less gain
+1.1 dB in the mean, three with more lose 0.2.)"""
 
 SAME_PLANE_TOLERANCE = 0.03
 """Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity."""
@@ -63,10 +70,12 @@ class MatchingDepthEstimator:
     Attributes:
         options: of matching.
         threads: at most this many; None = a core each. The result does not depend on it.
+        prior: network that says what to expect where much is left open; None leaves it out.
     """
 
     options: MatchingOptions = field(default_factory=MatchingOptions)
     threads: int | None = None
+    prior: PriorModel | None = None
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -92,15 +101,11 @@ class MatchingDepthEstimator:
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
             reverse = pair.reversed()
-            # Cost volume and semi-global matching, one direction after the other: costs take much memory.
-            matches = match_all_disparities(pair, options), match_all_disparities(reverse, options)
-            consistent = _check_left_right(matches, options)
-            planes = _find_planes((pair, reverse), consistent, options)
-            surfaces = both(
-                lambda: label_surfaces(pair, consistent[0], planes[0], options),
-                lambda: label_surfaces(reverse, consistent[1], planes[1], options),
-            )
-            disparities = _check_left_right(surfaces, options)
+            disparities = _match_surfaces((pair, reverse), options)
+            if self.prior is not None and _measured_share(pair, disparities) < WELL_MATCHED_SHARE:
+                pair = with_priors(pair, first, second, self.prior)
+                reverse = pair.reversed()
+                disparities = _match_surfaces((pair, reverse), options)
             return both(
                 lambda: _features_in_camera_frame(first, second, pair, disparities[0]),
                 lambda: _features_in_camera_frame(second, first, reverse, disparities[1]),
@@ -123,10 +128,28 @@ class MatchingDepthEstimator:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
 
 
+def _match_surfaces(
+    pairs: tuple[RectifiedPair, RectifiedPair], options: MatchingOptions
+) -> tuple[DisparityMap, DisparityMap]:
+    """The surfaces of both directions: matched, planes found, labelled, and checked left against right."""
+    # Cost volume and semi-global matching, one direction after the other: costs take much memory.
+    matches = match_all_disparities(pairs[0], options), match_all_disparities(pairs[1], options)
+    consistent = _check_left_right(matches, options)
+    planes = _find_planes(pairs, consistent, options)
+    surfaces = both(*(partial(label_surfaces, *each, options) for each in zip(pairs, consistent, planes, strict=True)))
+    return _check_left_right(surfaces, options)
+
+
+def _measured_share(pair: RectifiedPair, disparities: tuple[DisparityMap, DisparityMap]) -> float:
+    """Share of the sphere whose surfaces are left-right consistent, in the worse panorama."""
+    weight = np.broadcast_to(np.sin(pair.grid.polar_angle) / np.sin(pair.grid.polar_angle).sum(), pair.size)
+    return min(float((weight * each.valid).sum()) / pair.size[1] for each in disparities)
+
+
 def _find_planes(
     pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap], options: MatchingOptions
 ) -> tuple[CandidatePlanes, CandidatePlanes]:
-    """The planes that pixels may lie on, in the frame of either direction: swept ones, and those through matches.
+    """The planes that pixels may lie on, in the frame of either direction: swept, expected, and through matches.
 
     Both directions have the same: a plane that only one may choose fails the left-right check.
     """
@@ -137,10 +160,10 @@ def _find_planes(
     fitted = find_planes(points, pairs[0].grid.up, max_planes=options.max_planes, min_support=options.min_plane_support)
     axes = _sweep_axes(pairs[0].grid.up, fitted)
     swept = np.zeros((0, 3)) if _is_narrow_baseline(pairs, matches) else sweep_planes(pairs[0], axes)
-    different = [normal for normal in fitted if not any(_is_same_plane(normal, each) for each in swept)]
-    is_swept = np.repeat([True, False], [len(swept), len(different)])
-    planes = CandidatePlanes(np.concatenate([swept, np.reshape(different, (-1, 3))]), is_swept)
-    return planes, planes.seen_by_second()
+    measured = _distinct(swept, expected_planes(pairs[0]))
+    planes = _distinct(measured, fitted)
+    candidates = CandidatePlanes(planes, np.arange(len(planes)) < len(measured))
+    return candidates, candidates.seen_by_second()
 
 
 def _sweep_axes(up: np.ndarray, fitted: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "axes 3"]:
@@ -182,8 +205,15 @@ def _plane_points(pair: RectifiedPair, matches: DisparityMap) -> PlanePoints:
     return PlanePoints(grid.directions[row, col], inverse_depth, tolerance, solid_angle, row, col)
 
 
-def _is_same_plane(normal: np.ndarray, other: np.ndarray) -> bool:
-    return bool(np.linalg.norm(normal - other) < SAME_PLANE_TOLERANCE * np.linalg.norm(normal))
+def _distinct(
+    planes: Float[np.ndarray, "planes 3"], more: Float[np.ndarray, "more 3"]
+) -> Float[np.ndarray, "distinct 3"]:
+    """The planes, and those of ``more`` that none before them is equal to."""
+    kept = list(planes)
+    for normal in more:
+        if not any(np.linalg.norm(normal - each) < SAME_PLANE_TOLERANCE * np.linalg.norm(normal) for each in kept):
+            kept.append(normal)
+    return np.reshape(kept, (-1, 3))
 
 
 def _check_left_right(
@@ -215,4 +245,5 @@ def _features_in_camera_frame(
         usable=usable,
         second_from_first=motion_in_baselines(pose, other.pose),
         up=np.asarray(pose.rotation[1]),
+        expected=None if pair.priors is None else pair.priors[0].remapped(in_pair),
     )

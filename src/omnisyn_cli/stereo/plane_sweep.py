@@ -27,6 +27,7 @@ from omnisyn_cli.compute.threads import at_most, both, run_ranges
 from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
+from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.plane_fitting import (
     PlaneEquations,
     PlanePoints,
@@ -34,7 +35,7 @@ from omnisyn_cli.stereo.plane_fitting import (
     fit_to_inliers,
     planes_from_second,
 )
-from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, EpipolarGrid, RectifiedPair
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
 __all__ = ["EXPLAINED_COST", "AxisSweep", "fit_plane", "significant_support", "sweep_directions", "sweep_planes"]
 
@@ -124,6 +125,8 @@ class SweepDirection:
             self.pair.first, self.census, self.pair.second, self.pair.second_usable, disparity,
             SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION,
         )  # fmt: skip
+        if self.pair.prior is not None:
+            cost = cost + self.pair.prior.cost(disparity)
         return np.asarray(np.minimum(cost, np.float32(1.0)))
 
     def matched_points(self, normal: Float[np.ndarray, " 3"]) -> PlanePoints:

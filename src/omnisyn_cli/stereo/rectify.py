@@ -5,7 +5,6 @@ Everything in this frame is dimensionless: distances count in baselines, so inve
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -18,21 +17,15 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import rotated_directions, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_angles
-from omnisyn_cli.geometry.sweep import (
-    epipole_frame,
-    inverse_depth_from_parallax,
-    parallax_from_inverse_depth,
-    swap_cameras_in_epipole_frame,
-)
+from omnisyn_cli.geometry.sweep import epipole_frame, swap_cameras_in_epipole_frame
+from omnisyn_cli.stereo.depth_prior import DepthPrior, DisparityPrior
+from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.types import View
 
 __all__ = ["rectify", "resize_area"]
 
 HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
-
-MAX_INVERSE_DEPTH = 20.0
-"""In 1/baselines: nothing nearer than a twentieth of a baseline is a valid match; chosen by eye."""
 
 MIN_USABLE_SHARE = 0.99
 """Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
@@ -47,6 +40,7 @@ class RectifiedPair:
         first_usable, second_usable: ``(height, width)``; False where a mask forbids it.
         world_from_frame: ``(3, 3)`` orientation of both.
         baseline: metres.
+        priors: what is expected of both cameras' depth, each in the frame of its own direction; None for nothing.
     """
 
     first: Float[np.ndarray, "height width 3"]
@@ -55,6 +49,7 @@ class RectifiedPair:
     second_usable: Bool[np.ndarray, "height width"]
     world_from_frame: Float[np.ndarray, "3 3"]
     baseline: float
+    priors: tuple[DepthPrior, DepthPrior] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -68,6 +63,11 @@ class RectifiedPair:
         _, polar_angle = pixel_to_angles(rows, np.zeros_like(rows), self.size)
         return EpipolarGrid(pixel_directions(*self.size), polar_angle, np.asarray(self.world_from_frame.T @ UP))
 
+    @cached_property
+    def prior(self) -> DisparityPrior | None:
+        """What disparities of the first image cost beside what is matched."""
+        return None if self.priors is None else self.priors[0].in_rows(self.grid)
+
     def reversed(self) -> RectifiedPair:
         """The same pair seen from the second panorama."""
         return RectifiedPair(
@@ -77,6 +77,7 @@ class RectifiedPair:
             second_usable=swap_cameras_in_epipole_frame(self.first_usable),
             world_from_frame=self.world_from_frame @ HALF_TURN_ABOUT_Z,
             baseline=self.baseline,
+            priors=None if self.priors is None else self.priors[::-1],
         )
 
     def resized(self, size: tuple[int, int]) -> RectifiedPair:
@@ -94,62 +95,18 @@ class RectifiedPair:
             second_usable,
             self.world_from_frame,
             self.baseline,
+            self._resized_priors(size),
         )
+
+    def _resized_priors(self, size: tuple[int, int]) -> tuple[DepthPrior, DepthPrior] | None:
+        if self.priors is None:
+            return None
+        first, second = (DepthPrior(*(resize_area(each, size) for each in prior.maps)) for prior in self.priors)
+        return first, second
 
     def remap_to_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
         """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""
         return RemapTable.for_directions(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)
-
-
-@dataclass(frozen=True)
-class EpipolarGrid:
-    """The pixels of a rectified image, and its two units: rows of disparity, and inverse depth in 1/baselines.
-
-    Attributes:
-        directions: unit vectors in the frame of the pair.
-        polar_angle: of every row, the angle to the epipole in radians.
-        up: the world's up in the frame of the pair.
-    """
-
-    directions: Float[np.ndarray, "height width 3"]
-    polar_angle: Float[np.ndarray, "height 1"]
-    up: Float[np.ndarray, " 3"]
-
-    @property
-    def height(self) -> int:
-        """Rows."""
-        return int(self.polar_angle.shape[0])
-
-    @property
-    def sin_elevation(self) -> Float[np.ndarray, "height width"]:
-        """Sine of the elevation above the horizon."""
-        return np.asarray(self.directions @ self.up)
-
-    def disparity(self, inverse_depth: np.ndarray) -> Float[np.ndarray, "height width"]:
-        """Rows for an inverse depth; −1 where it is negative (behind the camera)."""
-        parallax = parallax_from_inverse_depth(self.polar_angle, np.maximum(inverse_depth, 0.0))
-        return np.where(inverse_depth < 0, -1.0, parallax * (self.height / math.pi)).astype(np.float32)
-
-    def inverse_depth(self, disparity: np.ndarray, row: np.ndarray | None = None) -> Float[np.ndarray, "*pixels"]:
-        """In 1/baselines, in [0, :data:`MAX_INVERSE_DEPTH`]; of whole images, or of single pixels in some rows."""
-        parallax = np.maximum(disparity, 0.0) * (math.pi / self.height)
-        inverse_depth = inverse_depth_from_parallax(self._polar_angle_of(row), parallax)
-        return np.asarray(np.minimum(inverse_depth, MAX_INVERSE_DEPTH))
-
-    def inverse_depth_per_row(
-        self, disparity: np.ndarray, row: np.ndarray | None = None
-    ) -> Float[np.ndarray, "*pixels"]:
-        """How much inverse depth one row of disparity is worth: the derivative of ``sin δ / sin(polar_angle + δ)``."""
-        polar_angle = self._polar_angle_of(row)
-        far_angle = np.minimum(polar_angle + disparity * (math.pi / self.height), math.pi - 1e-3)
-        return np.asarray(np.sin(polar_angle) / np.sin(far_angle) ** 2 * (math.pi / self.height))
-
-    def _polar_angle_of(self, row: np.ndarray | None) -> np.ndarray:
-        return self.polar_angle if row is None else self.polar_angle[row, 0]
-
-    def is_away_from_epipoles(self, degrees: float) -> Bool[np.ndarray, "height 1"]:
-        """Rows that are farther than an angle from both epipoles, where parallax vanishes."""
-        return np.asarray(np.sin(self.polar_angle) > math.sin(math.radians(degrees)))
 
 
 def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:

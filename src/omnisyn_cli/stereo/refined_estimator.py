@@ -26,6 +26,7 @@ from omnisyn_cli.stereo.disparity import (
     left_right_check,
     match_disparities,
 )
+from omnisyn_cli.stereo.expected_depth import fill_as_expected
 from omnisyn_cli.stereo.map_filters import joint_upsample, median_filter, remove_speckles
 from omnisyn_cli.stereo.matching_estimator import MIN_ISLAND_PIXELS, MatchingDepthEstimator
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
@@ -91,11 +92,12 @@ class RefinedDepthEstimator:
         """All stages of depth, in order.
 
         :meth:`MatchingDepthEstimator.features` rectifies the pair (1), computes the cost volume (2), matches
-        semi-globally (3), checks left against right (4) and fits planes (5). Completion (6), refinement (7), the
-        free-space check (8) and confidence (9) follow.
+        semi-globally (3), checks left against right (4) and fits planes (5); where the baseline is wide it matches
+        again with a prior. Completion (6), refinement (7), the free-space check (8) and confidence (9) follow.
         """
         features = self.matching.features(*views)
-        completed = self._complete_with_network(features)
+        of_first, of_second = self._complete_with_network(features)
+        completed = fill_as_expected(features[0], of_first), fill_as_expected(features[1], of_second)
         refined = self._refine_at_larger_sizes(views, completed)
         checked = _check_free_space(views, refined, features)
         return _lower_confidence_amid_disagreement(views, checked)

@@ -15,6 +15,7 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import reproject_to_second
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
+from omnisyn_cli.stereo.depth_prior import DepthPrior
 
 __all__ = [
     "CompletionModel",
@@ -53,6 +54,7 @@ class StereoFeatures:
         usable: ``(height, width)`` False where a mask forbids the image.
         second_from_first: takes points of this camera's frame to the other one's, in baselines.
         up: ``(3,)`` the world's up in this camera's frame.
+        expected: what a network expects of the depth; None if none was asked.
     """
 
     image: Float32[np.ndarray, "height width 3"]
@@ -63,6 +65,7 @@ class StereoFeatures:
     usable: Bool[np.ndarray, "height width"]
     second_from_first: Pose
     up: Float[np.ndarray, " 3"]
+    expected: DepthPrior | None = None
 
     @property
     def valid(self) -> Bool[np.ndarray, "height width"]:

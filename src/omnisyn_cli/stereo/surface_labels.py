@@ -17,9 +17,10 @@ from jaxtyping import Bool, Float, Float32, Int, UInt16
 
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
+from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.plane_fitting import planes_from_second
 from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST, plane_disparity
-from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, resize_area
+from omnisyn_cli.stereo.rectify import RectifiedPair, resize_area
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
 NOT_VISIBLE_DISPARITY = np.float32(-1.0)
@@ -104,6 +105,8 @@ def label_surfaces(
     for k, cost in enumerate(_candidate_costs(pair, disparities, options)):
         own_bias = bias(k, cost)
         cost += options.outside_floor_ceiling_penalty * (disparities[k] < bound)
+        if pair.prior is not None:
+            cost += pair.prior.cost(disparities[k])
         costs[..., k] = to_fixed_point(cost + own_bias)
     label = _select_labels(costs, luminance_of(pair.first), disparities, options)
     disparity = np.take_along_axis(disparities, label[None], axis=0)[0]

@@ -85,7 +85,7 @@ def estimated_surface_memory(
         footprint.writing * largest + config.renderer_strategy.building_bytes * vertices,
         len(sources) * footprint.closing * vertices,
     )
-    return int(source.bytes_of_program(depths) + 2 * panorama * largest + more + kept + drawing_bytes)
+    return int(config.depth.bytes_of_program(depths) + 2 * panorama * largest + more + kept + drawing_bytes)
 
 
 def estimated_memory(
@@ -113,7 +113,7 @@ def estimated_memory(
     is_kept_as_samples = is_8_bit and config.renderer_strategy.shades_on_demand
     kept = (3 if is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
     texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
-    program = source.bytes_of_program(depths)
+    program = config.depth.bytes_of_program(depths)
     frames = _bytes_of_frames(job, config, size) + FLOAT_PIXEL_BYTES * largest
     if not config.draws_surfaces:
         return int(program + 2 * kept * largest + frames)

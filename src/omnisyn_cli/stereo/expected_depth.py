@@ -1,0 +1,162 @@
+"""What a network expects of depth, for pairs that matching leaves open: a prior, and filling.
+
+Repeating tiles match a floor at the wrong height, and each panorama then agrees with the other one. A network that has
+seen rooms knows better, though not exactly: its shapes are right, and off by a factor that changes slowly. So it is
+asked first, and images are matched near what it expects. Where nothing matches, the factor comes from matches around.
+
+The network answers up to one inverse depth, counted in baselines. Told of a longer baseline it reaches nearer surfaces.
+Where parallax decides, both answers agree. Where they differ it has guessed, and all between them is possible.
+"""
+
+import math
+from dataclasses import replace
+from functools import partial
+from typing import Protocol
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.sampling import filter_across_seam, rotated_directions, sample_bilinear
+from omnisyn_cli.geometry.sphere import UP, solid_angles
+from omnisyn_cli.stereo.depth_prior import MIN_CONFIDENCE, MIN_SQRT_INV_DEPTH, DepthPrior
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair, resize_area
+from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
+from omnisyn_cli.types import View
+
+__all__ = ["PriorModel", "fill_as_expected", "with_priors"]
+
+NETWORK_SIZE = (256, 512)
+"""Height and width of the panoramas that the network sees."""
+
+BASELINES = 1.0, 2.25
+"""The lengths of the baseline that the network is told of, once each."""
+
+TOLERANCE_SHARE = 0.15
+"""Error of √(inverse depth × baseline) that costs nothing, as a share of it."""
+
+TEN_PERCENT = math.sqrt(1.1) - 1.0
+"""Relative error of √(inverse depth) where depth is 10 % off. With its probability, the confidence, the scale of a
+Laplace distribution follows."""
+
+MAX_LOG_CORRECTION = 0.6
+"""Matches that differ by more in the logarithm of inverse depth correct nothing: they may be wrong."""
+
+CORRECTION_SCALES = (1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
+"""Standard deviations as shares of the height: from the factor of half the sphere to that of the matches nearby."""
+
+COARSER_WEIGHT = 0.02
+"""Weight of the coarser correction, against 1 for matches everywhere around."""
+
+MAX_LOG_DIFFERENCE = 0.15
+"""Of the logarithm of inverse depth: a proposal that near to what is expected is preferred to it."""
+
+MIN_INVERSE_DEPTH = 1e-4
+"""In 1/baselines: all that is farther counts as that far."""
+
+
+class PriorModel(Protocol):
+    """A trained depth network that needs no matching, however it is run."""
+
+    def __call__(
+        self,
+        first: Float32[np.ndarray, "3 height width"],
+        second: Float32[np.ndarray, "3 height width"],
+        towards: Float[np.ndarray, " 3"],
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+        """Inverse depth of the first panorama, and the probability that it is within 10 %.
+
+        Both stand upright, and the second camera is ahead. Distances count in the unit of ``towards``, the way to it.
+        """
+        ...
+
+
+def with_priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -> RectifiedPair:
+    """The pair with what the network expects of both panoramas; it sees one after the other."""
+    frame = pair.world_from_frame
+    of_first = _prior_in_frame(frame, pair.size, first, second, model)
+    return replace(pair, priors=(of_first, _prior_in_frame(frame @ HALF_TURN_ABOUT_Z, pair.size, second, first, model)))
+
+
+def _prior_in_frame(
+    world_from_frame: Float[np.ndarray, "3 3"], size: tuple[int, int], view: View, other: View, model: PriorModel
+) -> DepthPrior:
+    world_from_network, prior = _prior(view, other, model)
+    directions = rotated_directions(size, world_from_network, world_from_frame)
+    return prior.remapped(RemapTable.for_directions(directions, NETWORK_SIZE))
+
+
+def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray, "3 3"], DepthPrior]:
+    """What the network expects of a panorama, and the orientation of the map: world from frame."""
+    motion = other.pose.position - view.pose.position
+    frame = _upright_frame(motion)
+    first, second = _turned(view, frame), _turned(other, frame)
+    towards = frame.T @ motion / np.linalg.norm(motion)
+
+    def answer(baseline: float) -> tuple[np.ndarray, np.ndarray]:
+        inverse_depth, confidence = model(first, second, towards * baseline)
+        return np.sqrt(inverse_depth * baseline), confidence
+
+    (short, its_confidence), (long, confidence) = (answer(baseline) for baseline in BASELINES)
+    sqrt_inv_depth, half_range = np.sqrt(short * long), 0.5 * np.abs(long - short)
+    confidence = 0.5 * (confidence + its_confidence)
+    spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, MIN_CONFIDENCE, 0.999))
+    tolerance = np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
+    return frame, DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
+
+
+def _upright_frame(motion: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """World from a frame that stands upright, the other camera ahead (−z); any heading if it is above or below."""
+    away = np.array([-motion[0], 0.0, -motion[2]])
+    length = float(np.linalg.norm(away))
+    away = away / length if length > 1e-3 * float(np.linalg.norm(motion)) else np.array([0.0, 0.0, 1.0])
+    return np.stack([np.cross(UP, away), UP, away], axis=1)
+
+
+def _turned(view: View, frame: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "3 height width"]:
+    """The panorama as the network sees it; turned at twice the size, so that it stays sharp."""
+    rows = 2 * NETWORK_SIZE[0]
+    image = resize_area(view.image, (rows, 2 * rows)) if view.image.shape[0] > rows else view.image
+    turned = sample_bilinear(image, rotated_directions((rows, 2 * rows), view.pose.rotation, frame))
+    return np.ascontiguousarray(np.moveaxis(resize_area(turned, NETWORK_SIZE), -1, 0))
+
+
+def fill_as_expected(features: StereoFeatures, completed: InvDepthWithConfidence) -> InvDepthWithConfidence:
+    """Inverse depth and confidence, replaced where stereo is not valid; the same where nothing is expected."""
+    if features.expected is None:
+        return completed
+    inverse_depth, confidence = completed
+    measured = _log(inverse_depth)
+    expected = _log(np.square(features.expected.sqrt_inv_depth))
+    expected = expected + _correction(measured - expected, features.valid)
+    best, least = expected, np.full(expected.shape, MAX_LOG_DIFFERENCE)
+    for proposal in (_log(features.filled), _log(features.matched)):
+        difference = np.abs(proposal - expected)
+        best, least = np.where(difference < least, proposal, best), np.minimum(difference, least)
+    is_confirmed = np.abs(measured - expected) < MAX_LOG_DIFFERENCE
+    filled = np.where(features.valid | is_confirmed, inverse_depth, np.exp(best)).astype(np.float32)
+    of_network = features.expected.confidence
+    surer = np.where(is_confirmed, np.maximum(confidence, of_network), of_network)
+    return filled, np.where(features.valid, confidence, surer)
+
+
+def _log(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    return np.asarray(np.log(np.maximum(inverse_depth, MIN_INVERSE_DEPTH)))
+
+
+def _correction(
+    difference: Float[np.ndarray, "height width"], valid: Bool[np.ndarray, "height width"]
+) -> Float32[np.ndarray, "height width"]:
+    """What to add, from the differences at valid pixels: normalised convolutions, each completed by the coarser one."""
+    height = len(difference)
+    is_used = valid & (np.abs(difference) < MAX_LOG_CORRECTION)
+    weight = (is_used * solid_angles(*difference.shape) / solid_angles(*difference.shape).max()).astype(np.float32)
+    total = max(float(weight.sum()), 1e-9)
+    correction = np.full(difference.shape, (weight * difference).sum() / total, np.float32)
+    for scale in CORRECTION_SCALES:
+        sigma = scale * height
+        blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=sigma, borderType=cv2.BORDER_REFLECT)
+        around, sums = (filter_across_seam(blur, each, int(3 * sigma)) for each in (weight, weight * difference))
+        correction = (sums + COARSER_WEIGHT * correction) / (around + COARSER_WEIGHT)
+    return correction

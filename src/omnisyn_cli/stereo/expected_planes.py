@@ -1,0 +1,63 @@
+"""Planes of the depth that a network expects, moved to where the images match best.
+
+A sweep finds a plane if enough windows match on it, wherever it is. Far apart, cameras see walls too differently for
+that. The network says where planes are to within some 10 %, and so near a plane a linear fit finds the rest.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.stereo.depth_prior import DepthPrior
+from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
+from omnisyn_cli.stereo.plane_sweep import fit_plane, sweep_directions
+from omnisyn_cli.stereo.rectify import RectifiedPair, resize_area
+
+__all__ = ["expected_planes"]
+
+EXPECTED_SIZE = (64, 128)
+"""Rows and columns of the expected depth that planes are fitted to."""
+
+MIN_CONFIDENCE, MIN_INVERSE_DEPTH = 0.4, 0.02
+"""Of the pixels that take part; the second in 1/baselines."""
+
+RELATIVE_TOLERANCE = 0.05
+"""Of inverse depth, for pixels of a plane."""
+
+MAX_PLANES, MIN_SUPPORT = 16, 0.004
+"""The number of planes, and the share of the pixels' solid angle that each has to explain."""
+
+MIN_PARALLEL_COSINE, MAX_DISTANCE_FACTOR = 0.97, 1.25
+"""A fitted plane that turns by more than 14° or moves by more than a quarter has gone to another surface."""
+
+
+def expected_planes(pair: RectifiedPair) -> Float[np.ndarray, "planes 3"]:
+    """Normals in the frame of the pair, best supported first; none where nothing is expected.
+
+    A plane that no texture can move stays where it is expected.
+    """
+    if pair.priors is None:
+        return np.zeros((0, 3))
+    small = pair.resized(EXPECTED_SIZE)
+    points = _points(small.grid, pair.priors[0]), _points(small.reversed().grid, pair.priors[1])
+    expected = find_planes(points, pair.grid.up, max_planes=MAX_PLANES, min_support=MIN_SUPPORT)
+    directions = sweep_directions(pair)
+    fitted = [fit_plane(directions, normal) for normal in expected]
+    planes = [after if _is_near(before, after) else before for before, after in zip(expected, fitted, strict=True)]
+    return np.reshape(planes, (-1, 3))
+
+
+def _points(grid: EpipolarGrid, prior: DepthPrior) -> PlanePoints:
+    """The pixels of a grid that the network is sure of."""
+    sqrt_inv_depth, _, confidence = (resize_area(each, EXPECTED_SIZE) for each in prior.maps)
+    inverse_depth = np.square(sqrt_inv_depth, dtype=np.float64)
+    row, col = np.nonzero((confidence > MIN_CONFIDENCE) & (inverse_depth > MIN_INVERSE_DEPTH))
+    found = inverse_depth[row, col]
+    solid_angle = np.sin(grid.polar_angle[row, 0])
+    return PlanePoints(grid.directions[row, col], found, RELATIVE_TOLERANCE * found, solid_angle, row, col)
+
+
+def _is_near(expected: np.ndarray, fitted: np.ndarray) -> bool:
+    lengths = np.linalg.norm(expected), np.linalg.norm(fitted)
+    is_parallel = fitted @ expected > MIN_PARALLEL_COSINE * lengths[0] * lengths[1]
+    return bool(is_parallel and max(lengths) < MAX_DISTANCE_FACTOR * min(lengths))

@@ -1,0 +1,191 @@
+"""What a network expects: what it is shown, what disparities then cost, and what becomes of floors and of gaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.stereo.test_plane_sweep import texture, turn
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.stereo.depth_prior import DepthPrior
+from omnisyn_cli.stereo.expected_depth import fill_as_expected, with_priors
+from omnisyn_cli.stereo.expected_planes import expected_planes
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.rectify import rectify
+from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
+from omnisyn_cli.types import View
+
+SIZE = (256, 512)
+ROOM = np.array([[-7.0, -1.6, -8.0], [6.0, 1.8, 5.0]])
+"""Lower and upper corner in metres; one camera is at the origin."""
+POSITIONS = np.array([0.4, 0.0, 0.9]), np.array([-0.6, 0.05, -3.2])
+TILE = 0.55
+
+
+def distance_to_wall(position: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Metres to the wall of the room along unit vectors, and along which axis it lies."""
+    with np.errstate(divide="ignore"):
+        reach = np.where(rays > 0, (ROOM[1] - position) / rays, (ROOM[0] - position) / rays)
+    return reach.min(axis=-1), reach.argmin(axis=-1)
+
+
+def photograph(position: np.ndarray, rotation: np.ndarray) -> View:
+    """A view of the room: plain walls and ceiling with some texture, a floor of equal tiles."""
+    rays = pixel_directions(*SIZE) @ rotation.T
+    reach, axis = distance_to_wall(position, rays)
+    points = position + rays * reach[..., None]
+    image = np.zeros((*SIZE, 3))
+    for k in range(3):
+        on_axis = axis == k
+        image[on_axis] = texture(np.delete(points, k, axis=-1), seed=k)[on_axis]
+    is_floor = (axis == 1) & (rays[..., 1] < 0)
+    tiles = (np.floor(points[..., 0] / TILE) + np.floor(points[..., 2] / TILE)) % 2
+    image[is_floor] = (0.15 + 0.7 * tiles[..., None] * np.ones(3))[is_floor]
+    return View(image.astype(np.float32), Pose(rotation, position))
+
+
+@pytest.fixture(scope="module")
+def views() -> tuple[View, View]:
+    """Two views of the room, tilted and turned."""
+    up, side = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    return (
+        photograph(POSITIONS[0], turn(up, 30.0) @ turn(side, 4.0)),
+        photograph(POSITIONS[1], turn(up, -100.0) @ turn(side, -3.0)),
+    )
+
+
+class KnowsTheRoom:
+    """A network that sees the room from where it is asked: depth is a factor off, its confidence as told."""
+
+    def __init__(self, factor: float = 1.0, confidence: float = 0.9) -> None:
+        self.factor, self.confidence = factor, confidence
+        self.asked: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __call__(self, first, second, towards):
+        self.asked.append((first, towards))
+        here = len(self.asked) > 2  # twice for the first panorama, then twice for the second one
+        motion = POSITIONS[0] - POSITIONS[1] if here else POSITIONS[1] - POSITIONS[0]
+        back = -motion * [1, 0, 1] / np.hypot(motion[0], motion[2])
+        frame = np.stack([np.cross([0.0, 1.0, 0.0], back), [0.0, 1.0, 0.0], back], axis=1)
+        reach, _ = distance_to_wall(POSITIONS[int(here)], pixel_directions(*first.shape[1:]) @ frame.T)
+        unit = np.linalg.norm(motion) / np.linalg.norm(towards)
+        inverse_depth = (unit / reach / self.factor).astype(np.float32)
+        return inverse_depth, np.full(inverse_depth.shape, self.confidence, np.float32)
+
+
+def true_disparity(pair, position: np.ndarray) -> np.ndarray:
+    reach, _ = distance_to_wall(position, pair.grid.directions @ pair.world_from_frame.T)
+    return pair.grid.disparity(pair.baseline / reach)
+
+
+def test_the_network_sees_upright_panoramas_with_the_other_camera_ahead(views: tuple[View, View]) -> None:
+    model = KnowsTheRoom()
+    with_priors(rectify(*views, SIZE), *views, model)
+    lengths = [float(np.linalg.norm(towards)) for _, towards in model.asked]
+    assert lengths == pytest.approx([1.0, 2.25, 1.0, 2.25])
+    for image, towards in model.asked:
+        assert abs(towards[0]) < 1e-6
+        assert towards[2] < 0
+        floor = image[:, -40:].reshape(3, -1)  # black and white tiles, in all columns alike: upright
+        assert np.std(floor) > 0.25
+
+
+def test_priors_are_in_the_frames_of_the_pair_and_of_its_reverse(views: tuple[View, View]) -> None:
+    pair = with_priors(rectify(*views, SIZE), *views, KnowsTheRoom())
+    for each, position in zip(
+        (pair, pair.reversed(), pair.resized((128, 256))), (*POSITIONS, POSITIONS[0]), strict=True
+    ):
+        truth = true_disparity(each, position)
+        assert np.quantile(each.prior.cost(truth), 0.99) == 0.0
+        assert np.median(each.prior.cost(truth * 2.5 + 10)) == pytest.approx(0.4, abs=1e-6)
+
+
+def test_a_prior_that_is_not_sure_costs_nothing_and_one_that_guesses_tolerates_more(views: tuple[View, View]) -> None:
+    pair = rectify(*views, SIZE)
+    unsure = with_priors(pair, *views, KnowsTheRoom(confidence=0.1))
+    assert not unsure.prior.cost(np.zeros(SIZE, np.float32)).any()
+
+    class Guesses(KnowsTheRoom):
+        def __call__(self, first, second, towards):
+            inverse_depth, confidence = super().__call__(first, second, towards)
+            return inverse_depth * np.float32(np.linalg.norm(towards) ** -0.9), confidence
+
+    sure, guessed = (with_priors(pair, *views, model()).prior for model in (KnowsTheRoom, Guesses))
+    assert np.median(guessed.upper - guessed.lower) > 1.5 * np.median(sure.upper - sure.lower)
+
+
+def test_all_disparities_of_a_range_cost_what_single_surfaces_do() -> None:
+    rng = np.random.default_rng(1)
+    maps = [rng.uniform(low, high, (8, 16)).astype(np.float32) for low, high in ((0.2, 1.8), (0.05, 0.4), (0.0, 1.0))]
+    grid = rectify(*flat_views(), (8, 16)).grid
+    prior = DepthPrior(*maps).in_rows(grid)
+    lowest = rng.integers(0, 3, (8, 16)).astype(np.int32)
+    ranges = DisparityRange.from_bounds(lowest, lowest + 4)
+    costs = np.full(ranges.offsets[-1], 100, np.uint16)
+    prior.add_to(costs, ranges)
+    each = costs.reshape(8, 16, 5)
+    for k in range(5):
+        expected = 100 + prior.cost((lowest + k).astype(np.float32)) * FIXED_POINT_SCALE
+        assert np.abs(each[..., k] - expected).max() <= 0.51
+
+
+def flat_views() -> tuple[View, View]:
+    grey = np.full((8, 16, 3), 0.5, np.float32)
+    return View(grey, Pose(np.eye(3), np.zeros(3))), View(grey, Pose(np.eye(3), np.array([0.0, 0.0, -1.0])))
+
+
+def test_a_floor_of_equal_tiles_gets_its_height_from_what_is_expected(views: tuple[View, View]) -> None:
+    options = MatchingOptions(size=SIZE)
+    baseline = float(np.linalg.norm(POSITIONS[1] - POSITIONS[0]))
+
+    def share_right(estimates) -> float:
+        shares = []
+        for view, estimate in zip(views, estimates, strict=True):
+            rays = pixel_directions(*SIZE) @ view.pose.rotation.T
+            reach, axis = distance_to_wall(view.pose.position, rays)
+            is_floor = (axis == 1) & (rays[..., 1] < -0.4)
+            shares.append(np.mean(np.abs(estimate.inverse_depth * reach - 1.0)[is_floor] < 0.04))
+        return min(shares)
+
+    assert baseline > 4.0
+    without = share_right(MatchingDepthEstimator(options)(*views))
+    expecting = share_right(MatchingDepthEstimator(options, prior=KnowsTheRoom(factor=1.1))(*views))
+    assert without < 0.5
+    assert expecting > 0.9
+
+
+def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]) -> None:
+    pair = rectify(*views, SIZE)
+    assert len(expected_planes(pair)) == 0
+    planes = expected_planes(with_priors(pair, *views, KnowsTheRoom(factor=1.08)))
+    for axis in range(3):
+        for corner in ROOM:
+            way = np.sign(corner[axis]) * np.eye(3)[axis] @ pair.world_from_frame
+            true = way / (abs(corner[axis] - POSITIONS[0][axis]) / pair.baseline)
+            nearest = min(np.linalg.norm(plane - true) / np.linalg.norm(true) for plane in planes)
+            assert nearest < 0.12  # as expected at worst
+            assert nearest < 0.02 or corner[axis] < -1.7 or axis == 1
+
+
+def test_gaps_are_filled_with_what_is_expected_corrected_by_the_matches_around(views: tuple[View, View]) -> None:
+    options = MatchingOptions(size=SIZE)
+    features, _ = MatchingDepthEstimator(options, prior=KnowsTheRoom(factor=1.25)).features(*views)
+    reach, _ = distance_to_wall(POSITIONS[0], pixel_directions(*features.matched.shape) @ views[0].pose.rotation.T)
+    true = np.linalg.norm(POSITIONS[1] - POSITIONS[0]) / reach
+    valid = np.zeros(true.shape, bool)
+    valid[::3, ::5] = True
+    scarce = replace(
+        features, matched=np.where(valid, true, 9.0), left_right_consistent=valid, sky=np.zeros_like(valid),
+        filled=np.full(true.shape, 9.0),
+    )  # fmt: skip
+    completed = np.where(valid, true, 0.01).astype(np.float32), np.full(true.shape, 0.3, np.float32)
+    inverse_depth, confidence = fill_as_expected(scarce, completed)
+    assert np.quantile(np.abs(inverse_depth / true - 1.0), 0.95) < 0.03
+    assert np.array_equal(inverse_depth[valid], completed[0][valid])
+    assert confidence[valid] == pytest.approx(0.3)
+    assert confidence[~valid] == pytest.approx(0.9, abs=0.01)
+    near = (1.1 * true).astype(np.float32)
+    exact, _ = fill_as_expected(replace(scarce, filled=near), completed)
+    assert np.mean(np.isclose(exact, near, rtol=1e-4)[~valid]) > 0.95  # a proposal that is near is taken as it is
+    assert fill_as_expected(replace(scarce, expected=None), completed) is completed
