@@ -98,9 +98,9 @@ def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray
         inverse_depth, confidence = model(first, second, towards * baseline)
         return np.sqrt(inverse_depth * baseline), confidence
 
-    (short, its_confidence), (long, confidence) = (answer(baseline) for baseline in BASELINES)
+    (short, sure_of_short), (long, sure_of_long) = (answer(baseline) for baseline in BASELINES)
     sqrt_inv_depth, half_range = np.sqrt(short * long), 0.5 * np.abs(long - short)
-    confidence = 0.5 * (confidence + its_confidence)
+    confidence = 0.5 * (sure_of_short + sure_of_long)
     spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, MIN_CONFIDENCE, 0.999))
     tolerance = np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
     return frame, DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
