@@ -98,9 +98,9 @@ def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray
         inverse_depth, confidence = model(first, second, towards * baseline)
         return np.sqrt(inverse_depth * baseline), confidence
 
-    (short, sure_of_short), (long, sure_of_long) = (answer(baseline) for baseline in BASELINES)
+    (short, short_confidence), (long, long_confidence) = (answer(baseline) for baseline in BASELINES)
     sqrt_inv_depth, half_range = np.sqrt(short * long), 0.5 * np.abs(long - short)
-    confidence = 0.5 * (sure_of_short + sure_of_long)
+    confidence = 0.5 * (short_confidence + long_confidence)
     spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, MIN_CONFIDENCE, 0.999))
     tolerance = np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
     return frame, DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
@@ -137,8 +137,8 @@ def fill_as_expected(features: StereoFeatures, completed: InvDepthWithConfidence
     is_confirmed = np.abs(measured - expected) < MAX_LOG_DIFFERENCE
     filled = np.where(features.valid | is_confirmed, inverse_depth, np.exp(best)).astype(np.float32)
     of_network = features.expected.confidence
-    surer = np.where(is_confirmed, np.maximum(confidence, of_network), of_network)
-    return filled, np.where(features.valid, confidence, surer)
+    its_confidence = np.where(is_confirmed, np.maximum(confidence, of_network), of_network)
+    return filled, np.where(features.valid, confidence, its_confidence)
 
 
 def _log(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
