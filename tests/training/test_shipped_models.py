@@ -36,7 +36,8 @@ def test_shipped_models_are_what_their_checkpoints_export_to(tmp_path, checkpoin
     shipped = onnx.load(MODELS / known[names[0]].file)
     if shipped.producer_version != torch.__version__.split("+")[0]:
         pytest.skip(f"shipped models were written by torch {shipped.producer_version}, this is {torch.__version__}")
-    published = {entry.name: entry for entry, _ in publish(MODELS / "checkpoints" / f"{checkpoint}.pt", tmp_path, name=NAMED.get(checkpoint))}
+    file = MODELS / "checkpoints" / f"{checkpoint}.pt"
+    published = {entry.name: entry for entry, _ in publish(file, tmp_path, name=NAMED.get(checkpoint))}
     assert sorted(published) == sorted(names)
     for name in names:
         assert (published[name].sha256, published[name].parameters) == (known[name].sha256, known[name].parameters)
