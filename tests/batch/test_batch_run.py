@@ -178,6 +178,7 @@ def test_only_what_changed_is_done_again(tmp_path, change):
 
 NETWORKS = {
     "completion-balanced": "completion",
+    "depth-guided": "guided-depth",
     "fusion-residual": "fusion",
 }
 

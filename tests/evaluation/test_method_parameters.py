@@ -79,7 +79,7 @@ def test_with_nothing_learned_in_it_the_product_needs_no_network(hall, monkeypat
     plain = images("omnisyn-fast:model=none:fusion=geometric", hall)
     assert np.isfinite(plain).all()
     assert plain.std() > 0.05
-    assert find_method("omnisyn-balanced:model=none:fusion=geometric").config.networks == ()
+    assert find_method("omnisyn-balanced:model=none:prior=none:fusion=geometric").config.networks == ()
     with pytest.raises(MethodUnavailableError, match="completion-balanced"):
         images("omnisyn-fast", hall)
 
