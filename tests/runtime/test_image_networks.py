@@ -86,7 +86,7 @@ def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again(
 
 def test_a_guided_depth_network_is_asked_without_guidance_and_answers_in_the_unit_of_the_way() -> None:
     """A plain grey room says nothing about parallax: whatever the way is called, the network guesses alike."""
-    ask = GuidedDepthSession(open_model("depth-guided", threads=1, keeps_memory=False))
+    ask = GuidedDepthSession(lambda: open_model("depth-guided", threads=1, keeps_memory=False))
     grey = np.full((3, 256, 512), 0.5, np.float32)
     short, long = (ask(grey, grey, np.array([0.0, 0.0, -length])) for length in (1.0, 2.25))
     for inverse_depth, confidence in (short, long):
@@ -95,4 +95,4 @@ def test_a_guided_depth_network_is_asked_without_guidance_and_answers_in_the_uni
         assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
     assert np.median(long[0] / short[0]) == pytest.approx(1.0, abs=0.2)
     with pytest.raises(InputError, match="a guided depth model with the inputs 'first'"):
-        GuidedDepthSession(Session([]))
+        GuidedDepthSession(lambda: Session([]))(grey, grey, np.array([0.0, 0.0, -1.0]))

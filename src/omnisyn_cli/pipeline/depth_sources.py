@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -164,7 +165,7 @@ def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int
     from omnisyn_cli.runtime.image_networks import CompletionSession, GuidedDepthSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
-    prior = None if source.prior is None else GuidedDepthSession(network(source.prior, keeps_memory=False))
+    prior = None if source.prior is None else GuidedDepthSession(partial(network, source.prior, keeps_memory=False))
     refinement = None if source.model is None else CompletionSession(network(source.model))
     return RefinedDepthEstimator(replace(_matching(source, threads), prior=prior), refinement, source.rows)
 

@@ -3,6 +3,8 @@
 All raise InputError for a session of another kind, and for a model that answers something else.
 """
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,18 +40,23 @@ class CompletionSession:
 class GuidedDepthSession:
     """Two upright panoramas in, depth of the first out; a :class:`omnisyn_cli.stereo.expected_depth.PriorModel`.
 
-    Nothing was matched when it is asked, so its guidance is zero.
+    Nothing was matched when it is asked, so its guidance is zero. It is opened when it is first asked, as many pairs do
+    not need it.
     """
 
-    def __init__(self, session: Any) -> None:
+    def __init__(self, open_session: Callable[[], Any]) -> None:
+        self._open_session = open_session
+
+    @cached_property
+    def _session_and_guidance(self) -> tuple[Any, Float32[np.ndarray, "1 channels rows cols"]]:
+        session = self._open_session()
         shapes = {entry.name: tuple(entry.shape) for entry in session.get_inputs()}
         if list(shapes) != ["first", "second", "towards", "guidance"]:
             raise InputError(
                 "expected a guided depth model with the inputs 'first', 'second', 'towards' and 'guidance', got "
                 f"{list(shapes)}; name another"
             )
-        self._session = session
-        self._no_guidance = np.zeros(shapes["guidance"], np.float32)
+        return session, np.zeros(shapes["guidance"], np.float32)
 
     def __call__(
         self,
@@ -58,13 +65,14 @@ class GuidedDepthSession:
         towards: Float[np.ndarray, " 3"],
     ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
         """Inverse depth in the unit of ``towards``, and the probability that depth is within 10 %."""
+        session, no_guidance = self._session_and_guidance
         inputs = {
             "first": first[None],
             "second": second[None],
             "towards": towards.astype(np.float32).reshape(1, 3, 1, 1),
-            "guidance": self._no_guidance,
+            "guidance": no_guidance,
         }
-        return run_depth_network(self._session, inputs, first.shape[1:])
+        return run_depth_network(session, inputs, first.shape[1:])
 
 
 class ResidualFusionSession:

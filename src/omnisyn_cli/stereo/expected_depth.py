@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Float32
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import filter_across_seam, rotated_directions, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, solid_angles
+from omnisyn_cli.geometry.sweep import forward_frame
 from omnisyn_cli.stereo.depth_prior import MIN_CONFIDENCE, MIN_SQRT_INV_DEPTH, DepthPrior
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair, resize_area
 from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
@@ -90,7 +91,8 @@ def _prior_in_frame(
 def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray, "3 3"], DepthPrior]:
     """What the network expects of a panorama, and the orientation of the map: world from frame."""
     motion = other.pose.position - view.pose.position
-    frame = _upright_frame(motion)
+    right = forward_frame(view.pose, other.pose)[0].rotation[:, 0]
+    frame = np.stack([right, UP, np.cross(right, UP)], axis=1)  # upright, the other camera ahead
     first, second = _turned(view, frame), _turned(other, frame)
     towards = frame.T @ motion / np.linalg.norm(motion)
 
@@ -104,14 +106,6 @@ def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray
     spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, MIN_CONFIDENCE, 0.999))
     tolerance = np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
     return frame, DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
-
-
-def _upright_frame(motion: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """World from a frame that stands upright, the other camera ahead (−z); any heading if it is above or below."""
-    away = np.array([-motion[0], 0.0, -motion[2]])
-    length = float(np.linalg.norm(away))
-    away = away / length if length > 1e-3 * float(np.linalg.norm(motion)) else np.array([0.0, 0.0, 1.0])
-    return np.stack([np.cross(UP, away), UP, away], axis=1)
 
 
 def _turned(view: View, frame: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "3 height width"]:
@@ -151,7 +145,8 @@ def _correction(
     """What to add, from the differences at valid pixels: normalised convolutions, each completed by the coarser one."""
     height = len(difference)
     is_used = valid & (np.abs(difference) < MAX_LOG_CORRECTION)
-    weight = (is_used * solid_angles(*difference.shape) / solid_angles(*difference.shape).max()).astype(np.float32)
+    areas = solid_angles(*difference.shape)
+    weight = (is_used * areas / areas.max()).astype(np.float32)
     total = max(float(weight.sum()), 1e-9)
     correction = np.full(difference.shape, (weight * difference).sum() / total, np.float32)
     for scale in CORRECTION_SCALES:

@@ -11,7 +11,7 @@ from omnisyn_cli.stereo.depth_prior import DepthPrior
 from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import fit_plane, sweep_directions
-from omnisyn_cli.stereo.rectify import RectifiedPair, resize_area
+from omnisyn_cli.stereo.rectify import RectifiedPair
 
 __all__ = ["expected_planes"]
 
@@ -36,10 +36,10 @@ def expected_planes(pair: RectifiedPair) -> Float[np.ndarray, "planes 3"]:
 
     A plane that no texture can move stays where it is expected.
     """
-    if pair.priors is None:
+    small = pair if pair.priors is None else pair.resized(EXPECTED_SIZE)
+    if small.priors is None:
         return np.zeros((0, 3))
-    small = pair.resized(EXPECTED_SIZE)
-    points = _points(small.grid, pair.priors[0]), _points(small.reversed().grid, pair.priors[1])
+    points = _points(small.grid, small.priors[0]), _points(small.reversed().grid, small.priors[1])
     expected = find_planes(points, pair.grid.up, max_planes=MAX_PLANES, min_support=MIN_SUPPORT)
     directions = sweep_directions(pair)
     fitted = [fit_plane(directions, normal) for normal in expected]
@@ -49,9 +49,8 @@ def expected_planes(pair: RectifiedPair) -> Float[np.ndarray, "planes 3"]:
 
 def _points(grid: EpipolarGrid, prior: DepthPrior) -> PlanePoints:
     """The pixels of a grid that the network is sure of."""
-    sqrt_inv_depth, _, confidence = (resize_area(each, EXPECTED_SIZE) for each in prior.maps)
-    inverse_depth = np.square(sqrt_inv_depth, dtype=np.float64)
-    row, col = np.nonzero((confidence > MIN_CONFIDENCE) & (inverse_depth > MIN_INVERSE_DEPTH))
+    inverse_depth = np.square(prior.sqrt_inv_depth, dtype=np.float64)
+    row, col = np.nonzero((prior.confidence > MIN_CONFIDENCE) & (inverse_depth > MIN_INVERSE_DEPTH))
     found = inverse_depth[row, col]
     solid_angle = np.sin(grid.polar_angle[row, 0])
     return PlanePoints(grid.directions[row, col], found, RELATIVE_TOLERANCE * found, solid_angle, row, col)

@@ -142,8 +142,8 @@ def _match_surfaces(
 
 def _measured_share(pair: RectifiedPair, disparities: tuple[DisparityMap, DisparityMap]) -> float:
     """Share of the sphere whose surfaces are left-right consistent, in the worse panorama."""
-    weight = np.broadcast_to(np.sin(pair.grid.polar_angle) / np.sin(pair.grid.polar_angle).sum(), pair.size)
-    return min(float((weight * each.valid).sum()) / pair.size[1] for each in disparities)
+    areas = solid_angles(*pair.size)
+    return min(float(areas[each.valid].sum() / areas.sum()) for each in disparities)
 
 
 def _find_planes(

@@ -60,17 +60,17 @@ class CandidatePlanes(NamedTuple):
 
     Attributes:
         normals: in the frame of the pair, as long as the inverse distance (1/baselines).
-        is_swept: which of them a sweep found; the others are fitted to matches.
+        is_measured: swept or expected ones, which were measured in the images; the others are fitted to matches.
     """
 
     normals: Float[np.ndarray, "planes 3"]
-    is_swept: Bool[np.ndarray, " planes"]
+    is_measured: Bool[np.ndarray, " planes"]
 
     def seen_by_second(self) -> CandidatePlanes:
         """Those that the second camera sees, in the frame of the reversed pair."""
         normals = planes_from_second(self.normals)
         is_seen = np.isfinite(normals).all(axis=-1)
-        return CandidatePlanes(normals[is_seen], self.is_swept[is_seen])
+        return CandidatePlanes(normals[is_seen], self.is_measured[is_seen])
 
 
 def label_surfaces(
@@ -98,7 +98,7 @@ def label_surfaces(
         if k > len(planes):
             known = _smoothed_support(is_static)
         else:
-            known = support.around(planes[k - 1], bool(candidates.is_swept[k - 1]), cost)
+            known = support.around(planes[k - 1], bool(candidates.is_measured[k - 1]), cost)
         return options.unsupported_plane_penalty * (1.0 - known)
 
     costs = np.empty((*pair.size, len(disparities)), np.uint16)
@@ -155,7 +155,7 @@ def _candidate_costs(
 
 
 class PlaneSupport(NamedTuple):
-    """What speaks for planes: matches on them, and for swept planes texture that they explain.
+    """What speaks for planes: matches on them, and for measured planes texture that they explain.
 
     Attributes:
         size: of the image.
@@ -187,16 +187,16 @@ class PlaneSupport(NamedTuple):
         )  # fmt: skip
 
     def around(
-        self, normal: Float[np.ndarray, " 3"], is_swept: bool, cost: Float32[np.ndarray, "height width"]
+        self, normal: Float[np.ndarray, " 3"], is_measured: bool, cost: Float32[np.ndarray, "height width"]
     ) -> Float32[np.ndarray, "height width"]:
         """How much speaks for a plane around every pixel, in [0, 1].
 
-        Texture does for a swept plane only: a fitted one would find such texture by chance.
+        Texture does for a measured plane only: a fitted one would find such texture by chance.
         """
         is_on_plane = np.zeros(self.size, bool)
         is_on_plane.ravel()[self.pixels] = np.abs(self.directions @ normal - self.inverse_depth) < self.tolerance
         by_matches = _smoothed_support(is_on_plane)
-        if not is_swept:
+        if not is_measured:
             return by_matches
         share = _density(self.textured & (cost < EXPLAINED_COST)) / self.texture
         return np.asarray(np.maximum(by_matches, np.minimum(share / FULL_EXPLAINED_SHARE, 1.0)))
