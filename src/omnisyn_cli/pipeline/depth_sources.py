@@ -31,7 +31,8 @@ PROGRAM_BYTES = 345e6
 """Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures."""
 
 PRIOR_BYTES = 110e6
-"""Of the network that says what to expect, whose input has one size; measured likewise."""
+"""Of the network that says what to expect, whose input has one size; measured likewise. Only a run knows whether a pair
+needs it, so a plan counts it always."""
 
 
 @dataclass(frozen=True)
