@@ -78,3 +78,53 @@ def test_the_same_is_found_whichever_comes_first(pair: tuple[View, View]) -> Non
         assert one is not None
         assert other is not None
         assert (one & other).sum() > 0.7 * (one | other).sum()
+
+
+def as_jpeg(view: View, where: np.ndarray, level: int) -> View:
+    """A view in which an area is painted grey, as its JPEG shows it."""
+    image = np.rint(view.image * 255.0).astype(np.uint8)
+    image[where] = level
+    samples = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1], cv2.IMREAD_COLOR)
+    return replace(view, image=samples.astype(np.float32) / np.float32(255.0))
+
+
+def overlap(first: np.ndarray | None, second: np.ndarray) -> float:
+    return 0.0 if first is None else float((first & second).sum() / (first | second).sum())
+
+
+def operator(shift: float) -> np.ndarray:
+    """Somebody painted over, and an area beside of him."""
+    down, right = np.meshgrid(np.arange(SIZE[0]) * 180.0 / SIZE[0], np.arange(SIZE[1]) * 360.0 / SIZE[1], indexing="ij")
+    body = np.hypot((down - 180.0) / 65.0, (right - 90.0 - shift) / 30.0) < 1.0
+    return body | (down > 155.0 + 10.0 * np.sin(np.radians(3.0 * right))) | (np.hypot(down - 140, right - 200) < 9.0)
+
+
+@pytest.mark.parametrize("level", [0, 110, 255])
+def test_a_painted_operator_is_found_in_the_jpegs_of_both(pair: tuple[View, View], level: int) -> None:
+    areas = operator(0.0), operator(12.0)
+    found = find_camera_fixed(*(as_jpeg(view, area, level) for view, area in zip(pair, areas, strict=True)))
+    assert min(overlap(mask, area) for mask, area in zip(found, areas, strict=True)) > 0.85
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_bands_beside_a_partial_panorama_are_found(pair: tuple[View, View], level: int) -> None:
+    band = np.zeros(SIZE, bool)
+    band[:60] = band[-40:] = True
+    band[:, 100:150] = True
+    for mask in find_camera_fixed(*(as_jpeg(view, band, level) for view in pair)):
+        assert overlap(mask, band) > 0.9
+
+
+@pytest.mark.parametrize("kind", ["street", "room"])
+@pytest.mark.parametrize("level", [0, 110, 255])
+def test_plain_floors_skies_and_the_dark_are_kept(kind: str, level: int) -> None:
+    scene, plain, dark = generate_scene(kind, 12), [], []
+    for pose in sample_path(scene, 12, 2):
+        image, depth = render_panorama(scene, pose, SIZE, supersample=1, threads=1)
+        up = (pixel_directions(*SIZE) @ pose.rotation.T)[..., 1] * np.where(np.isfinite(depth), depth, 1e9)
+        on_floor = up < np.nanmedian(up[-20:]) + 0.05
+        assert on_floor.mean() > 0.05
+        plain.append(as_jpeg(View(image, pose), on_floor | ~np.isfinite(depth), level))
+        dark.append(View(np.maximum(image - np.float32(0.7), 0.0), pose))
+    assert find_camera_fixed(*plain) == (None, None)
+    assert find_camera_fixed(*dark) == (None, None)

@@ -1,36 +1,47 @@
 """What moves with the camera: caps over the nadir, tripods, car roofs and operators, found in a pair of panoramas.
 
 Both panoramas are looked at around their own nadir, in a map whose pixels have equal angles. A cap is a uniform patch,
-or a disc with a round edge or a blurred inside. Everything else keeps its place in both maps although the ground has
+or a disc with a round edge or a blurred inside. Paint over an operator has exactly one colour
+(:mod:`omnisyn_cli.synthesis.painted_areas`). Everything else keeps its place in both maps although the ground has
 moved. The ground is a horizontal plane; the camera's height above it is the one that explains most of both maps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Float, Float32, Int
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.regions import connected_regions
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.synthesis.nadir_map import (
+    DEG_PER_PIXEL,
+    GROUND_HEIGHTS,
+    MAP_SIZE,
+    WINDOW,
+    Mask,
+    NadirMap,
+    ground_pixels,
+    look_up,
+    map_degrees,
+    on_sphere,
+)  # fmt: skip
+from omnisyn_cli.synthesis.painted_areas import find_painted
 from omnisyn_cli.types import View
 
 __all__ = ["find_camera_fixed"]
-
-MAP_SIZE, MAP_DEG = 200, 70.0
-"""Rows of a map, and the angle from the nadir to the middle of its sides."""
-
-DEG_PER_PIXEL = 2.0 * MAP_DEG / MAP_SIZE
-"""Of a map: 0.7°."""
 
 CAP_RADII_DEG = (4.0, 45.0)
 """Least and largest radius of a cap. Set by hand, as are all constants of this file."""
 
 MAX_CAP_AREA_RATIO = 1.7
 """The caps of both panoramas have about the same area."""
+
+MAX_PAINT_RATIO = 1.1
+"""A painted area larger than the cap that is found in it, by this ratio, is no cap."""
 
 PATCH_TOLERANCE = 0.036
 """Difference of colour inside a uniform patch: JPEG noise."""
@@ -47,9 +58,6 @@ MIN_DETAIL, MAX_BLURRED_DETAIL = 0.006, 0.45
 SECTORS, SUBSECTORS = 72, 4
 """Sectors of a circle around the nadir in which edges are looked for, and samples across each."""
 
-GROUND_HEIGHTS = np.geomspace(0.15, 3.5, 34)
-"""Heights of the camera above the ground that are tried, in baselines."""
-
 MIN_GROUND_SHARE, MIN_GROUND_LEAD = 0.004, 2.0
 """Share of the map that has to show the ground at its best height, and its ratio to the median of all heights."""
 
@@ -61,9 +69,6 @@ MIN_GROUND_MOTION_DEG = 6.0
 
 SEARCH_PIXELS = 3
 """Pixels of the map that something may move beside the camera: an operator is never quite still."""
-
-WINDOW = (9, 9)
-"""Windows of the map that are compared."""
 
 MIN_GROUND_CONTRAST, MIN_OBJECT_CONTRAST = 0.02, 0.03
 """Standard deviation of colours in windows that can be compared."""
@@ -89,8 +94,6 @@ MAX_START_DEG, MIN_AREA_DEG2 = 22.0, 60.0
 MARGIN_PIXELS = 2
 """What is left out around everything found: soft edges, shadows of contact."""
 
-Mask = Bool[np.ndarray, "rows cols"]
-
 
 def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | None]:
     """Pixels of both views, each at its own size, that show what moves with the camera; None where nothing does.
@@ -99,84 +102,25 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
         first: a panorama.
         second: one taken elsewhere with the same camera.
     """
-    maps = _NadirPicture.of(first), _NadirPicture.of(second)
+    views, maps = (first, second), (NadirMap.of(first), NadirMap.of(second))
+    painted = find_painted(views, maps)
+    on_map = [
+        np.asarray(sample_nearest(mask.astype(np.float32), each.directions) > 0.5)
+        for mask, each in zip(painted, maps, strict=True)
+    ]
     caps = [_uniform_patch(each.image) for each in maps]
     if not all(cap.any() for cap in caps):
         caps = [_round_cap(each.image) for each in maps]
     areas = sorted(int(cap.sum()) for cap in caps)
     has_cap = areas[0] > 0 and areas[1] < MAX_CAP_AREA_RATIO * areas[0]
-    still = _find_static_regions(maps, (first, second))
-    found = [still | cap if has_cap else still for cap in caps]
-    masks = [
-        _on_sphere(_dilated(each, MARGIN_PIXELS), view.image.shape[:2]) if each.any() else None
-        for each, view in zip(found, (first, second), strict=True)
-    ]
+    has_cap = has_cap and max(int(mask.sum()) for mask in on_map) < MAX_PAINT_RATIO * areas[1]
+    still = _find_static_regions(maps, views, on_map)
+    masks = []
+    for view, cap, paint in zip(views, caps, painted, strict=True):
+        found = _dilated(still | cap if has_cap else still, MARGIN_PIXELS)
+        mask = paint | on_sphere(found, view.image.shape[:2]) if found.any() else paint
+        masks.append(mask if mask.any() else None)
     return masks[0], masks[1]
-
-
-@dataclass(frozen=True)
-class _NadirPicture:
-    """A panorama around its nadir.
-
-    Attributes:
-        image: ``(MAP_SIZE, MAP_SIZE, 3)`` RGB.
-        usable: where it may be used.
-        directions: of its pixels, in the frame of the camera.
-        grey: its mean over the channels.
-        variance: of the colours in windows, summed over channels.
-    """
-
-    image: Float32[np.ndarray, "rows cols 3"]
-    usable: Mask
-    directions: Float[np.ndarray, "rows cols 3"]
-    grey: Float32[np.ndarray, "rows cols"]
-    variance: Float32[np.ndarray, "rows cols"]
-
-    @staticmethod
-    def of(view: View) -> _NadirPicture:
-        """Of a view; at most as fine as its picture."""
-        x, y = _map_degrees()
-        angle, azimuth = np.radians(np.hypot(x, y)), np.arctan2(x, -y)
-        directions = np.stack([np.sin(angle) * np.sin(azimuth), -np.cos(angle), -np.sin(angle) * np.cos(azimuth)], -1)
-        height = min(view.image.shape[0], round(180.0 / DEG_PER_PIXEL))
-        size = (height, 2 * height)
-        small = cv2.resize(np.asarray(view.image, np.float32), size[::-1], interpolation=cv2.INTER_AREA)
-        row, col = direction_to_pixel(directions, size)
-        image = _look_up(np.concatenate([small, small[:, :1]], axis=1), col % size[1], np.minimum(row, height - 1))
-        usable = np.ones(image.shape[:2], bool)
-        if view.mask is not None:
-            mask = cv2.resize(view.mask.astype(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
-            usable = mask[np.clip(np.rint(row), 0, height - 1).astype(int), np.rint(col).astype(int) % size[1]] > 0
-        variance = (cv2.blur(image * image, WINDOW) - cv2.blur(image, WINDOW) ** 2) @ np.ones(3, np.float32)
-        return _NadirPicture(image, usable, directions, image @ np.full(3, 1.0 / 3.0, np.float32), variance)
-
-
-def _map_degrees() -> tuple[np.ndarray, np.ndarray]:
-    """Degrees to the right and down of the nadir."""
-    axis = (np.arange(MAP_SIZE) + 0.5) * DEG_PER_PIXEL - MAP_DEG
-    x, y = np.meshgrid(axis, axis)
-    return x, y
-
-
-def _to_map(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of a map that show directions, in the frame of its camera."""
-    across = np.hypot(direction[..., 0], direction[..., 2])
-    scale = np.degrees(np.arctan2(across, -direction[..., 1])) / np.maximum(across, 1e-9)
-    col, row = ((scale * direction[..., k] + MAP_DEG) / DEG_PER_PIXEL - 0.5 for k in (0, 2))
-    return col, row
-
-
-def _look_up(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """The image there; -1 beyond it."""
-    at = np.asarray(col, np.float32), np.asarray(row, np.float32)
-    return np.asarray(cv2.remap(image, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(-1.0,) * 3))
-
-
-def _on_sphere(found: Mask, size: tuple[int, int]) -> Mask:
-    """What was found in a map, as a mask of the panorama."""
-    mask, top = np.zeros(size, bool), int(size[0] * (1.0 - MAP_DEG / 180.0))
-    mask[top:] = _look_up(found.astype(np.float32), *_to_map(pixel_directions(*size)[top:])) > 0.5
-    return mask
 
 
 def _dilated(mask: Mask, reach: int) -> Mask:
@@ -189,7 +133,7 @@ def _disc(reach: int) -> np.ndarray:
 
 def _uniform_patch(image: np.ndarray) -> Mask:
     """The uniform region that contains the nadir, if it is compact, of the size of a cap, and ends in an edge."""
-    x, y = _map_degrees()
+    x, y = map_degrees()
     radius, nothing, middle = np.hypot(x, y), np.zeros(image.shape[:2], bool), MAP_SIZE // 2
     colour = np.median(image[radius < 0.5 * CAP_RADII_DEG[0]], axis=0)
     label = connected_regions(_step(image, colour) < PATCH_TOLERANCE, is_diagonal=False)
@@ -209,7 +153,7 @@ def _uniform_patch(image: np.ndarray) -> Mask:
 
 def _round_cap(image: np.ndarray) -> Mask:
     """A disc around the nadir that ends in a circular edge, or that is blurred where the ground beside it is not."""
-    radius = np.hypot(*_map_degrees())
+    radius = np.hypot(*map_degrees())
     first, last = (round(angle / DEG_PER_PIXEL) for angle in CAP_RADII_DEG)
     count, centre = last + 12, (MAP_SIZE / 2 - 0.5, MAP_SIZE / 2 - 0.5)
     fine = _step(image, cv2.GaussianBlur(image, (0, 0), 1.5))
@@ -239,8 +183,8 @@ def _round_cap(image: np.ndarray) -> Mask:
     return np.zeros(radius.shape, bool)
 
 
-def _find_static_regions(maps: tuple[_NadirPicture, _NadirPicture], views: tuple[View, View]) -> Mask:
-    """What keeps its place in both maps although the ground there has moved."""
+def _find_static_regions(maps: tuple[NadirMap, NadirMap], views: tuple[View, View], painted: Sequence[Mask]) -> Mask:
+    """What keeps its place in both maps although the ground has moved; beside paint nothing is known."""
     nothing = np.zeros(maps[0].image.shape[:2], bool)
     way = views[1].pose.position - views[0].pose.position
     repeats = [_repetition_count(each, view.pose, way) for each, view in zip(maps, views, strict=True)]
@@ -260,14 +204,14 @@ def _find_static_regions(maps: tuple[_NadirPicture, _NadirPicture], views: tuple
         ):
             np.maximum(in_place[k], values, out=in_place[k])
             np.minimum(difference[k], steps, out=difference[k])
-    at = [_ground_pixels(maps[k], (views[k], views[1 - k]), height + k * float(way[1])) for k in (0, 1)]
-    predicted = [_look_up(maps[1 - k].image, *at[k]) for k in (0, 1)]
+    at = [ground_pixels(maps[k], (views[k], views[1 - k]), height + k * float(way[1])) for k in (0, 1)]
+    predicted = [look_up(maps[1 - k].image, *at[k]) for k in (0, 1)]
     on_ground = [_correlation(maps[k].grey, predicted[k] @ np.full(3, 1.0 / 3.0, np.float32)) for k in (0, 1)]
     near = np.ones((2 * SEARCH_PIXELS + 1,) * 2, np.uint8)
     kept = []
     for k in (0, 1):
         motion = np.hypot(at[k][0] - np.arange(MAP_SIZE), at[k][1] - np.arange(MAP_SIZE)[:, None]) * DEG_PER_PIXEL
-        is_moving = (motion > MIN_GROUND_MOTION_DEG) & maps[k].usable
+        is_moving = (motion > MIN_GROUND_MOTION_DEG) & maps[k].usable & ~_dilated(painted[k], WINDOW[0] // 2)
         ground = np.maximum(cv2.dilate(on_ground[k], near[:3, :3]), cv2.dilate(on_ground[1 - k], near))
         step = _step(smooth[k], cv2.blur(predicted[k], (3, 3)))
         is_other = cv2.dilate(step, near[:5, :5]) > 2.0 * MIN_GROUND_DIFFERENCE
@@ -287,7 +231,7 @@ def _objects(seeds: Mask, region: Mask) -> Mask:
     """The connected parts of a region that begin near the nadir and have enough seeds."""
     opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _disc(CLOSING_PIXELS)) > 0
-    label, radius = connected_regions(closed, is_diagonal=True), np.hypot(*_map_degrees())
+    label, radius = connected_regions(closed, is_diagonal=True), np.hypot(*map_degrees())
     kept = np.zeros(seeds.shape, bool)
     for number in np.unique(label[seeds & closed]):
         part = label == number
@@ -298,7 +242,7 @@ def _objects(seeds: Mask, region: Mask) -> Mask:
 
 
 def _ground_height(
-    maps: tuple[_NadirPicture, _NadirPicture], views: tuple[View, View], repeats: Int[np.ndarray, "rows cols"]
+    maps: tuple[NadirMap, NadirMap], views: tuple[View, View], repeats: Int[np.ndarray, "rows cols"]
 ) -> float | None:
     """The first camera's height above the ground; None if no height stands out, or the cameras are too close for it.
 
@@ -308,7 +252,7 @@ def _ground_height(
     heights = GROUND_HEIGHTS * float(np.linalg.norm(way))
     shares = []
     for height in heights:
-        predicted = _look_up(maps[1].grey, *_ground_pixels(maps[0], views, float(height)))
+        predicted = look_up(maps[1].grey, *ground_pixels(maps[0], views, float(height)))
         fits = (_correlation(maps[0].grey, predicted) > MIN_CORRELATION) & (repeats == 0)
         shares.append(float(fits.mean()))
     best = int(np.argmax(shares))
@@ -317,17 +261,7 @@ def _ground_height(
     return float(heights[best]) if np.hypot(way[0], way[2]) >= MIN_BASELINE * heights[best] else None
 
 
-def _ground_pixels(own: _NadirPicture, views: tuple[View, View], height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of the second view's map that show the ground which the first view's map shows."""
-    own_pose, other_pose = views[0].pose, views[1].pose
-    world = own.directions @ own_pose.rotation.T
-    point = world * (height / np.maximum(-world[..., 1:2], 1e-3)) + own_pose.position - other_pose.position
-    col, row = _to_map(point @ other_pose.rotation)
-    is_below = world[..., 1] < -0.1
-    return np.where(is_below, col, -MAP_SIZE), np.where(is_below, row, -MAP_SIZE)
-
-
-def _repetition_count(one: _NadirPicture, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
+def _repetition_count(one: NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
     """In how many of four directions a pattern repeats itself: it may be found in place by chance.
 
     The direction of the way of the camera counts twice: a line along it stays in place.
@@ -359,7 +293,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> Float32[np.ndarray, "rows cols
     return np.asarray(np.where(is_textured, (mean_ab - mean_a * mean_b) / scale, -1.0), np.float32)
 
 
-def _likeness(one: _NadirPicture, other: _NadirPicture, shift: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
+def _likeness(one: NadirMap, other: NadirMap, shift: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
     """Of windows of one map and of another that is moved: 1 for equal colours, 0 if they differ as much as they vary.
 
     -1 where either has too little contrast.
