@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
+from omnisyn_cli.fusion.blend_rule import (
+    BlendOptions,
+    BlendRule,
+    LayerArrays,
+    blend_layers,
+    dissolve_share,
+    view_weights,
+)
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.geometry.pose import Pose
@@ -94,3 +101,10 @@ def test_hiding_sets_in_smoothly_and_symmetrically() -> None:
     assert (occlusion_strength[20:181] == 1).all()
     assert np.abs(np.diff(occlusion_strength)).max() < 0.1
     assert (np.diff(occlusion_strength[:21]) >= 0).all()
+
+
+def test_a_dissolve_is_symmetric_quick_and_whole_at_both_ends() -> None:
+    assert (dissolve_share(0.0), dissolve_share(0.5), dissolve_share(1.0)) == (0.0, 0.5, 1.0)
+    assert dissolve_share(0.3) + dissolve_share(0.7) == pytest.approx(1.0)
+    assert dissolve_share(0.25) < 0.02
+    assert np.all(np.diff([dissolve_share(t) for t in np.linspace(0.0, 1.0, 50)]) > 0.0)

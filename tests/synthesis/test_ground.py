@@ -45,6 +45,29 @@ def test_the_other_panorama_fills_what_it_sees_in_the_exposure_of_the_ground_aro
     assert depths[0].confidence[gap].max() < 0.1 < depths[0].confidence[~gap].min()
 
 
+def test_light_that_changes_across_the_gap_goes_on_in_it() -> None:
+    (first, a), (second, b) = on_a_floor(posed((0, 0, 0))), on_a_floor(posed((1.5, 0, 0.5)))
+    light = 1.0 + 0.3 * pixel_directions(*SIZE)[..., :1] / np.maximum(-pixel_directions(*SIZE)[..., 1:2], 0.4)
+    first = replace(first, image=(first.image * light).astype(np.float32))
+    views, _ = continue_ground((capped(first, 25.0), second), (a, b))
+    gap = ~outside_nadir(SIZE, np.radians(25.0))
+    step = (views[0].image - first.image)[gap]
+    side = pixel_directions(*SIZE)[gap, 0] > 0
+    assert abs(step[side].mean() - step[~side].mean()) < 0.03
+    assert np.abs(step).mean() < 0.08
+
+
+def test_what_the_other_panorama_is_not_sure_of_comes_from_a_patch() -> None:
+    """Here it shows furniture at the depth of the floor."""
+    (first, a), (second, b) = on_a_floor(posed((0, 0, 0))), on_a_floor(posed((1.5, 0, 0.5)))
+    towards = pixel_directions(*SIZE) @ np.array([-1.5, -HEIGHT, -0.5]) / np.linalg.norm([1.5, HEIGHT, 0.5])
+    furniture = np.where(towards[..., None] > 0.97, np.float32([0.9, 0.1, 0.1]), second.image)
+    soft = replace(b, confidence=np.full(SIZE, 0.15, np.float32))
+    views, _ = continue_ground((capped(first, 20.0), replace(second, image=furniture)), (a, soft))
+    gap = ~outside_nadir(SIZE, np.radians(18.0))
+    assert np.ptp(views[0].image[gap], axis=-1).max() < 0.05
+
+
 def test_a_patch_fills_what_nobody_sees_with_the_same_pattern() -> None:
     (first, a), (second, b) = on_a_floor(posed((0, 0, 0))), on_a_floor(posed((30.0, 0, 0)))
     views, _ = continue_ground((capped(first, 20.0), second), (a, b))

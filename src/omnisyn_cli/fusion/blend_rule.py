@@ -27,12 +27,24 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
-__all__ = ["FAR_WEIGHT_OFFSET", "BlendOptions", "BlendRule", "LayerArrays", "blend_layers", "view_weights"]
+__all__ = [
+    "FAR_WEIGHT_OFFSET",
+    "BlendOptions",
+    "BlendRule",
+    "LayerArrays",
+    "blend_layers",
+    "dissolve_share",
+    "view_weights",
+]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FAR_WEIGHT_OFFSET = 0.01
 """1/metre added to inverse depths before hole filling compares them: 100 m are as good as infinity. Set by hand."""
+
+DISSOLVE_POWER = 4
+"""Of the shares of a dissolve: it goes from a tenth to nine tenths in 27 % of the way. Before and after, nothing is
+double. Chosen by eye on two real restaurants."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +84,12 @@ class BlendRule:
         x = min(1.0, min(t, 1.0 - t) / options.ramp_share)
         occlusion_strength = x * x * (3.0 - 2.0 * x)
         return BlendRule(t, options.disagreement, options.hidden_weight**occlusion_strength, occlusion_strength)
+
+
+def dissolve_share(t: float) -> float:
+    """The share ``t`` of the way as a dissolve takes it: it happens around half way, and is quick."""
+    gone, left = t**DISSOLVE_POWER, (1.0 - t) ** DISSOLVE_POWER
+    return gone / (gone + left)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale, solid_angles
+from omnisyn_cli.synthesis.nadir_map import MAP_SIZE, look_up, to_map
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["continue_ground"]
@@ -28,7 +30,7 @@ MAX_GROUND_DEG, MAX_START_DEG = 60.0, 40.0
 RING_DEG = 12.0
 """Degrees around a gap whose depth says where its ground is. Set by hand."""
 
-MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE = 0.4, 0.1
+MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE = 0.4, 0.2
 """Share of what is known around a gap that has to agree on a height, and the relative range that counts as one."""
 
 SAME_GROUND_TOLERANCE = 0.12
@@ -37,17 +39,21 @@ SAME_GROUND_TOLERANCE = 0.12
 GROUND_CONFIDENCE = 0.05
 """Confidence of continued ground: what the other panorama shows there counts more. Set by hand."""
 
+MIN_OTHER_CONFIDENCE = 0.3
+"""Confidence of the other panorama's depth from which on it shows the ground: soft surfaces (0.15) do not."""
+
+EDGE_PIXELS, MAX_STEP = 4, 0.3
+"""Pixels around a gap that its filling has to join, and the greatest difference that is added for it. Set by hand."""
+
 MAX_GAIN = 2.0
 """Ratio of brightness between the panoramas that is believed. Set by hand."""
 
 MAX_RING_DIFFERENCE, MIN_RING_SHARE = 0.12, 0.6
 """The other panorama is believed if this share of the pixels around a gap differs by less. Set by hand."""
 
-MIN_SOURCE_CONFIDENCE = 0.5
-"""Confidence of depth from which on a pixel may be part of a patch: furniture must not be copied. Set by hand."""
-
-MAX_PATCH_STEP = 0.1
-"""Difference of brightness between a patch and the surroundings of the gap that is taken from it. Set by hand."""
+SOURCE_CONFIDENCES = (0.5, 0.1)
+"""Confidence of depth from which on a pixel may be part of a patch: furniture must not be copied. The second one is
+tried where no patch has the first. Set by hand."""
 
 MIN_RING_PIXELS = 32
 """Pixels around a gap that brightness can be compared at. Set by hand."""
@@ -78,15 +84,17 @@ def _continued(view: View, other: View, depth: DepthEstimate, other_depth: Depth
     rows, cols = np.nonzero(gap)
     directions = pixel_directions(*gap.shape)
     seen, colour = _seen_by_other(directions[rows, cols], view, other, other_depth, height)
-    ring = (cv2.dilate(gap.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0) & view.mask
-    gain = _colour_gain(image[ring], directions[ring], view, other, other_depth, height)
-    if gain is None:
+    recoloured = _recolour(colour[seen], directions[rows, cols][seen], image, gap, view, other, other_depth, height)
+    if recoloured is None:
         seen[:] = False
     else:
-        image[rows[seen], cols[seen]] = np.clip(colour[seen] * gain, 0.0, 1.0)
+        image[rows[seen], cols[seen]] = recoloured
     missing = np.zeros_like(gap)
     missing[rows[~seen], cols[~seen]] = True
-    filled = gap if not missing.any() or _fill_with_patch(image, missing, view, depth, height) else gap & ~missing
+    is_whole = not missing.any() or any(
+        _fill_with_patch(image, missing, view, depth, height, least) for least in SOURCE_CONFIDENCES
+    )
+    filled = gap if is_whole else gap & ~missing
     mask = view.mask | filled
     rho = _plane(pixel_directions(*depth.inverse_depth.shape), view, height)
     here = sample_nearest(filled.astype(np.float32), pixel_directions(*rho.shape)) > 0.5
@@ -150,33 +158,64 @@ def _seen_by_other(
     to_ground = (world * rho[:, None]) @ other.pose.rotation
     known = sample_nearest(other_depth.inverse_depth, to_ground)
     seen = np.abs(known - rho) < SAME_GROUND_TOLERANCE * np.maximum(known, rho)
+    seen &= sample_nearest(other_depth.confidence, to_ground) > MIN_OTHER_CONFIDENCE
     if other.mask is not None:
         seen &= sample_nearest(other.mask.astype(np.float32), to_ground) > 0.5
     return np.asarray(seen), np.asarray(sample_bilinear(np.asarray(other.image, np.float32), to_ground))
 
 
-def _colour_gain(
-    own: Float[np.ndarray, "pixels 3"], directions: Float[np.ndarray, "pixels 3"], view: View, other: View,
+def _recolour(
+    colour: Float[np.ndarray, "pixels 3"], inside: Float[np.ndarray, "pixels 3"],
+    image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View, other: View,
     other_depth: DepthEstimate, height: float,
-) -> Float[np.ndarray, " 3"] | None:  # fmt: skip
-    """How much brighter the ground around a gap is than the other view shows it, by channel; None where they differ.
+) -> Float[np.ndarray, "pixels 3"] | None:  # fmt: skip
+    """Colours that the other view sees inside a gap, as bright as the ground around it; None where that differs.
 
     Wrong depth would move other things onto the ground.
     """
-    seen, colour = _seen_by_other(directions, view, other, other_depth, height)
+    ring = (cv2.dilate(gap.astype(np.uint8), np.ones((2 * EDGE_PIXELS + 1,) * 2, np.uint8)) > 0) & ~gap
+    rows, cols = np.nonzero(ring & np.asarray(view.mask))
+    directions = pixel_directions(*gap.shape)[rows, cols]
+    seen, around = _seen_by_other(directions, view, other, other_depth, height)
     if np.count_nonzero(seen) < MIN_RING_PIXELS:
         return None
-    ratio = np.median(own[seen], axis=0) / np.maximum(np.median(colour[seen], axis=0), 1e-3)
-    gain = np.asarray(np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN), np.float32)
-    difference = np.abs(own[seen] - gain * colour[seen]).mean(axis=-1)
-    return gain if (difference < MAX_RING_DIFFERENCE).mean() >= MIN_RING_SHARE else None
+    own, around = image[rows[seen], cols[seen]], around[seen]
+    ratio = np.median(own, axis=0) / np.maximum(np.median(around, axis=0), 1e-3)
+    gain = np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN)
+    difference = own - gain * around
+    if (np.abs(difference).mean(axis=-1) < MAX_RING_DIFFERENCE).mean() < MIN_RING_SHARE:
+        return None
+    return np.asarray(np.clip(colour * gain + _continued_step(difference, directions[seen], inside), 0.0, 1.0))
+
+
+def _continued_step(
+    difference: Float[np.ndarray, "edge 3"], edge: Float[np.ndarray, "edge 3"], inside: Float[np.ndarray, "pixels 3"]
+) -> Float32[np.ndarray, "pixels 3"]:
+    """Differences of colour around a gap, continued smoothly into it, at most :data:`MAX_STEP`.
+
+    Added to a filling, they hide its edge (Pérez et al., Poisson image editing, 2003).
+
+    Args:
+        difference: of colours in directions around the gap.
+        edge: these directions.
+        inside: directions in the gap.
+    """
+    size = (MAP_SIZE, MAP_SIZE)
+    col, row = (np.clip(np.rint(index), 0, MAP_SIZE - 1).astype(np.intp) for index in to_map(edge))
+    step, weight = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
+    np.add.at(step, (row, col), np.clip(difference, -MAX_STEP, MAX_STEP) + 1.0)  # the filler knows no colour below 0
+    np.add.at(weight, (row, col), 1.0)
+    step /= np.maximum(weight, 1.0)[..., None]
+    HoleFiller(size)(step, np.minimum(weight, 1.0))
+    wanted = np.resize(inside, (-(-len(inside) // MAP_SIZE), MAP_SIZE, 3))  # OpenCV looks up no longer rows
+    return look_up(step, *to_map(wanted)).reshape(-1, 3)[: len(inside)] - np.float32(1.0)
 
 
 def _fill_with_patch(
     image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View,
-    depth: DepthEstimate, height: float,
+    depth: DepthEstimate, height: float, min_confidence: float,
 ) -> bool:  # fmt: skip
-    """Fill a gap of the image, in place, with a patch of the ground around; whether one fits.
+    """Fill a gap of the image, in place, with a patch of the ground around whose depth is confident; whether one fits.
 
     The ground is seen from above, so that a pattern keeps its shape wherever it is.
     """
@@ -191,7 +230,7 @@ def _fill_with_patch(
     known, plane = sample_nearest(depth.inverse_depth, directions), _plane(directions, view, height)
     valid = (np.abs(known - plane) < SAME_GROUND_TOLERANCE * np.maximum(known, plane)) & ~hole
     valid &= sample_nearest(np.asarray(view.mask, np.float32), directions) > 0.5
-    valid &= sample_nearest(depth.confidence, directions) > MIN_SOURCE_CONFIDENCE
+    valid &= sample_nearest(depth.confidence, directions) > min_confidence
     rows, cols = (np.flatnonzero(hole.any(axis=k)) for k in (1, 0))
     if not len(rows):
         return False
@@ -208,10 +247,10 @@ def _fill_with_patch(
     if not np.isfinite(misfit[row, col]):
         return False
     patch = flat[row : row + ring[box].shape[0], col : col + ring[box].shape[1]].copy()
-    step = ((flat[box] - patch) * weight).sum(axis=(0, 1)) / weight.sum(axis=(0, 1))
-    patch = np.clip(patch + np.clip(step, -MAX_PATCH_STEP, MAX_PATCH_STEP), 0.0, 1.0)
-    soft = cv2.GaussianBlur(hole[box].astype(np.float32), (0, 0), 2.0)[..., None]
-    flat[box] = np.where(hole[box][..., None], patch, flat[box] + (patch - flat[box]) * soft * weight)
+    near = cv2.dilate(hole[box].astype(np.uint8), np.ones((2 * EDGE_PIXELS + 1,) * 2, np.uint8)) > 0
+    edge, inside, rays = near & ring[box], hole[box], directions[box]
+    step = _continued_step((flat[box] - patch)[edge], rays[edge], rays[inside])
+    flat[box][inside] = np.clip(patch[inside] + step, 0.0, 1.0)
     first = int(np.flatnonzero(gap.any(axis=1))[0])
     seen = pixel_directions(*gap.shape)[first:] @ view.pose.rotation.T
     scale = count / (2.0 * reach) / np.maximum(-seen[..., 1], 1e-3)
