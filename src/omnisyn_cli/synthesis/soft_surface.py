@@ -167,11 +167,16 @@ def _common_surface(
     row, col = (np.round(index).astype(np.intp) for index in direction_to_pixel(direction, SURFACE_GRID))
     cell = np.asarray(np.clip(row, 0, SURFACE_GRID[0] - 1) * SURFACE_GRID[1] + col % SURFACE_GRID[1])
     weight = weight / (inverse_distance + SAMPLE_OFFSET)
-    normals = _fit_planes(SurfaceSamples(direction, inverse_distance, weight), cell)
+    windows = (
+        _window_weights(PLANE_WINDOWS_DEG, PLANE_WINDOW_WEIGHTS),
+        _window_weights(DISTANCE_WINDOWS_DEG, DISTANCE_WINDOW_WEIGHTS),
+    )
+    normals = _fit_planes(SurfaceSamples(direction, inverse_distance, weight), cell, *windows)
     for scale in OUTLIER_SCALES:
         fitted = np.maximum((normals[cell] * direction).sum(axis=-1), 1.0 / FARTHEST_SURFACE_BASELINES)
         error = np.log(fitted / inverse_distance) / scale
-        normals = _fit_planes(SurfaceSamples(direction, inverse_distance, weight / (1.0 + error**2) ** 2), cell)
+        robust = SurfaceSamples(direction, inverse_distance, weight / (1.0 + error**2) ** 2)
+        normals = _fit_planes(robust, cell, *windows)
     return np.asarray(normals.reshape(*SURFACE_GRID, 3), np.float32)
 
 
@@ -191,23 +196,36 @@ def _surface_samples(views: tuple[View, View], depths: Depths, reliability: list
     return SurfaceSamples(*(np.concatenate(each) for each in zip(*samples, strict=True)))
 
 
-def _fit_planes(samples: SurfaceSamples, cell: Int[np.ndarray, " samples"]) -> Float[np.ndarray, "cells 3"]:
-    """Weighted least squares around every cell, given the cell of every sample."""
+def _fit_planes(
+    samples: SurfaceSamples, cell: Int[np.ndarray, " samples"],
+    plane_window: Float32[np.ndarray, "cells cells"], distance_window: Float32[np.ndarray, "cells cells"],
+) -> Float[np.ndarray, "cells 3"]:  # fmt: skip
+    """Weighted least squares around every cell.
+
+    Args:
+        samples: to be fitted.
+        cell: of every sample.
+        plane_window: how much the planes of other cells count.
+        distance_window: how much their mean distances count.
+    """
     direction, inverse_distance, weight = samples
     centres = pixel_directions(*SURFACE_GRID).reshape(-1, 3)
+
+    def sums(values: np.ndarray) -> Float[np.ndarray, " cells"]:
+        return np.bincount(cell, values, len(centres))
+
     upper = np.triu_indices(3)
-    products = [weight * direction[:, i] * direction[:, j] for i, j in zip(*upper, strict=True)]
-    products += [weight * inverse_distance * direction[:, k] for k in range(3)] + [weight, weight * inverse_distance]
-    cells = np.stack([np.bincount(cell, each, len(centres)) for each in products], axis=1)
-    near = _window_weights(PLANE_WINDOWS_DEG, PLANE_WINDOW_WEIGHTS) @ cells
-    around = _window_weights(DISTANCE_WINDOWS_DEG, DISTANCE_WINDOW_WEIGHTS) @ cells[:, 9:]
-    total, mean = (near[:, 9] + around[:, 0]), (near[:, 10] + around[:, 1]) / (near[:, 9] + around[:, 0])
-    matrix = around[:, 0, None, None] * centres[:, :, None] * centres[:, None, :]
-    matrix[:, upper[0], upper[1]] += near[:, :6]
+    products = np.stack([sums(weight * direction[:, i] * direction[:, j]) for i, j in zip(*upper, strict=True)], axis=1)
+    right = plane_window @ np.stack([sums(weight * inverse_distance * along) for along in direction.T], axis=1)
+    distances = np.stack([sums(weight), sums(weight * inverse_distance)], axis=1)
+    known, wide = plane_window @ distances, distance_window @ distances
+    matrix = wide[:, 0, None, None] * centres[:, :, None] * centres[:, None, :]
+    matrix[:, upper[0], upper[1]] += plane_window @ products
     matrix[:, upper[1], upper[0]] = matrix[:, upper[0], upper[1]]
-    ridge = TILT_RIDGE * total
-    right = near[:, 6:9] + (around[:, 1] + ridge * mean)[:, None] * centres
-    return np.asarray(np.linalg.solve(matrix + ridge[:, None, None] * np.eye(3), right[..., None])[..., 0])
+    weights, weighted = (known + wide).T
+    right += (wide[:, 1] + TILT_RIDGE * weighted)[:, None] * centres
+    ridge = (TILT_RIDGE * weights)[:, None, None] * np.eye(3)
+    return np.asarray(np.linalg.solve(matrix + ridge, right[..., None])[..., 0])
 
 
 def _window_weights(sigmas_deg: Sequence[float], shares: Sequence[float]) -> Float32[np.ndarray, "cells cells"]:
