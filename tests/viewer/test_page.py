@@ -171,8 +171,8 @@ def test_a_shorter_walk_in_its_place_leaves_nothing_of_the_longer_one(tmp_path: 
     assert set(walk) == {*files, "index.html", "omnisyn-walk.js", "walk.json", "mine.txt"}
 
 
-@pytest.mark.parametrize("fallback", ["fail", "crossfade", "none"])
-def test_a_doubtful_pair_is_given_up_or_faded_if_that_is_asked_for(tmp_path: Path, fallback: str) -> None:
+@pytest.mark.parametrize("fallback", ["fail", "crossfade", "soft", "none"])
+def test_a_doubtful_pair_is_given_up_faded_or_soft_if_that_is_asked_for(tmp_path: Path, fallback: str) -> None:
     """Two pictures that show different places: their depth files say nothing true of the other one."""
     images = write_hall(tmp_path, CHAIN[:2])
     write_image(images[1], np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8))
@@ -182,4 +182,4 @@ def test_a_doubtful_pair_is_given_up_or_faded_if_that_is_asked_for(tmp_path: Pat
         assert not (tmp_path / "walk.html").exists()
         return
     (link,) = manifest_of(made(tmp_path, images, fallback=fallback).read_text())["links"]
-    assert link["isCrossFade"] == (fallback == "crossfade")
+    assert (link["isCrossFade"], link["isSoft"]) == (fallback == "crossfade", fallback == "soft")

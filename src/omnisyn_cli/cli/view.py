@@ -49,8 +49,8 @@ OPENER_SECONDS = 2.0
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
 @surface_options
 @click.option(
-    "--fallback", type=click.Choice([name for name in FALLBACKS if name != "soft"]), default="none", show_default=True,
-    help="Where confidence is low: only warn, cross-fade the photographs of that pair, or fail.",
+    "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
+    help="For pairs of low confidence: soft surfaces that dissolve, cross-faded photographs, only a warning, or fail.",
 )  # fmt: skip
 @click.option(
     "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of a former output."

@@ -28,14 +28,9 @@ from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
 __all__ = [
-    "FAR_WEIGHT_OFFSET",
-    "BlendOptions",
-    "BlendRule",
-    "LayerArrays",
-    "blend_layers",
-    "dissolve_share",
-    "view_weights",
-]
+    "DISSOLVE_POWER", "FAR_WEIGHT_OFFSET", "BlendOptions", "BlendRule", "LayerArrays", "blend_layers",
+    "dissolve_share", "view_weights",
+]  # fmt: skip
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

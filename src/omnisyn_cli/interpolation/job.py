@@ -61,7 +61,7 @@ class TourJob:
             None finds by itself what moves with the camera, see :mod:`omnisyn_cli.synthesis.camera_fixed`.
         nadir_fill: continue the ground over what is not used at the ends of the way as well, where the photograph is
             shown otherwise.
-        fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`; ``soft`` changes videos only.
+        fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`; ``soft`` changes videos and walks.
         threads: at most this many; None is one per core.
         overwrite: replace what exists.
         allow_aspect: resample panoramas that are not 2:1.

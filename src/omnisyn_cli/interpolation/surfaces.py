@@ -24,6 +24,7 @@ from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, measure_pair, usable_image
+from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 
@@ -65,11 +66,13 @@ class PairSurfaces:
         index: of the pair in the plan: in a chain that of its first panorama.
         surfaces: of the first and of the second.
         cross_check: how differently they are exposed, and how far what is made of them can be relied on.
+        is_soft: whether they are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
     """
 
     index: int
     surfaces: tuple[PanoramaSurface, PanoramaSurface]
     cross_check: CrossCheck
+    is_soft: bool = False
 
 
 def tour_surfaces(
@@ -117,16 +120,19 @@ def pair_surfaces(
     """The surfaces of a pair whose depth is known.
 
     Args:
-        plan: of the tour; only where its config cuts surfaces matters.
+        plan: of the tour; its config says where surfaces are cut, and whether those of a chain may be soft.
         index: of the pair.
         views: both.
         depths: of both.
         check: what they say of each other.
     """
     cut = Cut(plan.config.cut, plan.config.cut_metres)
+    is_soft = plan.config.fallback == "soft" and plan.is_chain and needs_soft_surface(views, depths, check)
+    if is_soft:
+        depths, cut = soften_pair(views, depths, check, cut, plan.job.threads), UNCUT
     views, depths = continue_ground(views, depths)
     first, second = (_meshed(plan.pairs[index][k], views[k], depths[k], cut) for k in (0, 1))
-    return PairSurfaces(index, (first, second), check)
+    return PairSurfaces(index, (first, second), check, is_soft)
 
 
 def _meshed(index: int, view: View, depth: DepthEstimate, cut: Cut) -> PanoramaSurface:

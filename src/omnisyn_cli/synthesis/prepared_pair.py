@@ -19,17 +19,13 @@ from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
 from omnisyn_cli.synthesis.ground import continue_ground
-from omnisyn_cli.synthesis.soft_surface import is_enclosed, soften_pair
+from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
 from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
 __all__ = ["SynthesisOptions", "measure_pair", "usable_image"]
-
-
-UNCUT = Cut(None, None)
-"""Soft surfaces have no steps that stand for silhouettes."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +107,7 @@ def prepare_pair(
     depths, check = measure_pair(index, chain, options, clock)
     first_view, second_view = chain.links[index]
     whole = chain.views[first_view], chain.views[second_view]
-    is_soft = options.soften and check.confidence.score < MIN_PAIR_SCORE
-    is_soft = is_soft and not at_same_position(whole[0].pose, whole[1].pose) and is_enclosed(whole, depths)
+    is_soft = options.soften and needs_soft_surface(whole, depths, check)
     with clock("mesh"):
         drawn_depths = soften_pair(whole, depths, check, options.cut, options.threads) if is_soft else depths
         (first, second), drawn_depths = continue_ground(whole, drawn_depths)

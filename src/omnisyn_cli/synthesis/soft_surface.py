@@ -18,15 +18,19 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from omnisyn_cli.fusion.confidence import compare_windows
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, compare_windows
 from omnisyn_cli.fusion.photometry import ExposureMatcher
+from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, direction_to_pixel, normalize, pixel_directions, solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.synthesis.consistency import CrossCheck, render_crosswise, resized_to
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
-__all__ = ["is_enclosed", "soften_pair"]
+__all__ = ["UNCUT", "is_enclosed", "needs_soft_surface", "soften_pair"]
+
+UNCUT = Cut(None, None)
+"""Soft surfaces have no steps that stand for silhouettes."""
 
 SURFACE_GRID = (32, 64)
 """Rows and columns of directions that planes are fitted around: 5.6 degrees each."""
@@ -100,6 +104,12 @@ def is_enclosed(views: tuple[View, View], depths: Depths) -> bool:
         is_near = depth.inverse_depth * baseline * MAX_CEILING_BASELINES > 1.0
         shares.append(float((above * is_near).sum() / above.sum()))
     return min(shares) > MIN_CEILING_SHARE
+
+
+def needs_soft_surface(views: tuple[View, View], depths: Depths, check: CrossCheck) -> bool:
+    """Whether a pair scores low and stands under a ceiling, at two places."""
+    is_doubtful = check.confidence.score < MIN_PAIR_SCORE and not at_same_position(views[0].pose, views[1].pose)
+    return is_doubtful and is_enclosed(views, depths)
 
 
 def soften_pair(

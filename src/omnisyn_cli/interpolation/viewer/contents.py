@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
+from omnisyn_cli.fusion.blend_rule import DISSOLVE_POWER, FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
@@ -55,6 +55,7 @@ RULES: Mapping[str, float] = {
     "DISAGREEMENT": BlendOptions.disagreement,
     "HIDDEN": BlendOptions.hidden_weight,
     "ENDS": BlendOptions.ramp_share,
+    "DISSOLVE_POWER": float(DISSOLVE_POWER),
     "FAR_WEIGHT_OFFSET": FAR_WEIGHT_OFFSET,
     "MIP_BIAS": float(MIP_BIAS),
     "MAX_FULL_RESOLUTION_LEVEL": float(MAX_FULL_RESOLUTION_LEVEL),
@@ -134,7 +135,8 @@ class TourPacker:
             "panoramas": [surface.index for surface in pair.surfaces],
             "surfaces": [self._surface(surface) for surface in pair.surfaces],
             "isCrossFade": is_ambiguous,
-            "correction": None if is_ambiguous else self._correction(pair),
+            "isSoft": pair.is_soft,
+            "correction": None if is_ambiguous or pair.is_soft else self._correction(pair),
             "exposure": None if gains is None else self.blocks.add(zlib.compress(np.array(gains, "<f4").tobytes(), 9)),
         }
 

@@ -64,10 +64,12 @@ class ViewJob(TourJob):
     Attributes:
         options: how the tour is packed.
         is_folder: whether it becomes a folder for a server instead of one file.
+        fallback: as of every job; by default surfaces of such pairs are soft, in chains.
     """
 
     options: ViewOptions = field(default_factory=ViewOptions)
     is_folder: bool = False
+    fallback: str = "soft"
 
     @property
     def follows_links(self) -> bool:

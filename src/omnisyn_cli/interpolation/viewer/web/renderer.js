@@ -82,7 +82,7 @@ class Renderer {
     gl.disable(gl.CULL_FACE);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.levels[0].pullInto);
     const { one, targets } = this;
-    const rule = ruleAt(scene.t);
+    const rule = ruleAt(scene.isSoft ? dissolveShare(scene.t) : scene.t);
     this.blend.use({
       lens: eye.lens, size, seen: targets.seen, photo: scene.views.map((view) => view.photo),
       usable: scene.views.map((view) => view.mask ?? one),
@@ -247,6 +247,12 @@ class Renderer {
     });
     this.targets = null;
   }
+}
+
+// omnisyn_cli.fusion.blend_rule.dissolve_share: how soft surfaces dissolve
+function dissolveShare(t) {
+  const gone = t ** DISSOLVE_POWER, left = (1 - t) ** DISSOLVE_POWER;
+  return gone / (gone + left);
 }
 
 // omnisyn_cli.fusion.blend_rule.BlendRule.at
