@@ -65,6 +65,28 @@ def test_the_network_fuses_what_the_views_contradict(hall):
     assert np.abs(corrected - images("oracle-depth", hall, (wrong, second))).max() > 0.01
 
 
+@pytest.mark.parametrize(("fallback", "options"), [("soft", {"soften": True}), ("crossfade", {"cross_fade": True})])
+def test_pairs_of_low_confidence_get_what_the_product_gives_them(hall, fallback, options):
+    first, second = hall.views
+    wrong = View(first.image, first.pose, first.mask, replace(
+        first.known_depth, inverse_depth=4.0 * first.known_depth.inverse_depth))  # fmt: skip
+    found = images(f"oracle-depth:fallback={fallback}", hall, (wrong, second))
+    np.testing.assert_array_equal(found, of_product(hall, (wrong, second), **options))
+    assert np.abs(found - images("oracle-depth:fallback=none", hall, (wrong, second))).max() > 0.1
+
+
+def test_what_moves_with_the_camera_is_not_seen_if_it_is_left_out(hall):
+    capped = []
+    for view in hall.views:
+        image = view.image.copy()
+        image[-len(image) // 10 :] = (1.0, 0.0, 1.0)
+        capped.append(replace(view, image=image))
+    kept, left_out = (images(f"oracle-depth{each}", hall, tuple(capped)) for each in ("", ":nadir=auto"))
+    is_cap = [each[:, -4:, :, 1] < each[:, -4:, :, [0, 2]].min(axis=-1) - 0.3 for each in (kept, left_out)]
+    assert is_cap[0].mean() > 0.8
+    assert is_cap[1].mean() < 0.3
+
+
 def test_results_of_the_fusion_network_depend_on_it_and_others_do_not():
     digest = models.read_manifest()[FUSIONS["network"].model].sha256
     assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
@@ -100,7 +122,7 @@ def test_one_view_is_not_fused():
 )
 def test_what_is_no_parameter_is_refused(parameter):
     with pytest.raises(
-        InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, rows=1024 or"
+        InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, fallback=soft"
     ):
         find_method(f"oracle-depth:{parameter}")
 

@@ -7,8 +7,9 @@ Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
 estimates, which is the density of the mesh), ``renderer`` (``two-pass``), ``fusion=network`` (the geometric
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
-does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``views=1`` (only the first
-panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
+does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``fallback`` (what pairs of
+low confidence get), ``nadir=auto`` (what moves with the camera is left out), ``views=1`` (only the first panorama is
+shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
 neighbours); those whose depth a network refines take ``rows`` (that it is looked for at), ``model=none`` (all else as
 it is, without that network) and ``prior=none`` (without the one that says what to expect): ``matching:cut=0.02``,
 ``oracle-depth:metres=2:depth=512x256``, ``omnisyn-balanced:model=none:prior=none:fusion=geometric``, which is
@@ -31,7 +32,7 @@ from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.pipeline.config import DepthSource, RunConfig
+from omnisyn_cli.pipeline.config import FALLBACKS, DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH, make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -39,6 +40,7 @@ from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
@@ -64,7 +66,8 @@ class PairDepths:
         self, source: DepthSource, estimator: DepthEstimator, first: View, second: View
     ) -> tuple[tuple[DepthEstimate, DepthEstimate], float]:
         """What the source's estimator finds, and the seconds that it took when it was asked."""
-        key = (source, first.pose.position.tobytes() + second.pose.position.tobytes())
+        masks = (b"" if view.mask is None else view.mask.tobytes() for view in (first, second))
+        key = (source, b"".join((first.pose.position.tobytes(), second.pose.position.tobytes(), *masks)))
         if key not in self._found:
             begin = time.perf_counter()
             found = estimator(first, second)
@@ -83,6 +86,7 @@ class ComparedMethod:
         depth_size: height and width of the surfaces' grids; None is that of the estimates.
         shows_first_only: whether the second panorama is hidden.
         is_in_tour: whether the panoramas before and after the pair take part in its depth.
+        leaves_out_camera_fixed: whether what moves with the camera is masked.
     """
 
     name: str
@@ -91,6 +95,7 @@ class ComparedMethod:
     depth_size: tuple[int, int] | None = None
     shows_first_only: bool = False
     is_in_tour: bool = False
+    leaves_out_camera_fixed: bool = False
 
     def ingredients(self) -> tuple[str, ...]:
         """What its results depend on besides its name."""
@@ -130,6 +135,8 @@ class MethodAtWork:
             raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
         before, after = around if method.is_in_tour else (None, None)
         self._index, chain = int(before is not None), [view for view in (before, *views, after) if view is not None]
+        if method.leaves_out_camera_fixed:
+            chain[self._index : self._index + 2] = _without_camera_fixed(*views)
         self._views = chain if sees_truth else [View(view.image, view.pose, view.mask) for view in chain]
         with _unavailable_without_network():
             self._estimator = make_estimator(self._config.depth, device=device, threads=threads)
@@ -155,6 +162,17 @@ class MethodAtWork:
         is_own = at_same_position(first.pose, own.pose)
         clock.seconds["depth"] += max(0.0, seconds - taken) if is_own else -taken
         return found
+
+
+def _without_camera_fixed(first: View, second: View) -> list[View]:
+    """Both views, in which what moves with the camera is masked."""
+    if at_same_position(first.pose, second.pose):
+        return [first, second]
+    fixed = find_camera_fixed(first, second)
+    return [
+        view if found is None else replace(view, mask=~found if view.mask is None else view.mask & ~found)
+        for view, found in zip((first, second), fixed, strict=True)
+    ]
 
 
 @contextmanager
@@ -244,14 +262,24 @@ FUSION_PARAMETERS = {f"fusion={name}": name for name in FUSIONS}
 WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {"model=none": {"model": None}, "prior=none": {"prior": None}}
 """Refined depth without one of its networks."""
 
-LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
-"""What parameters leave out of a config."""
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "edges=none": {"edges": False},
+    "adaptive=none": {"adaptive": False},
+    **{f"fallback={name}": {"fallback": name} for name in FALLBACKS if name != "fail"},
+}
+"""What parameters change in a config."""
 
 MIN_ROWS = 32
 """Least height of a network's input, which is halved five times."""
 
 ONE_VIEW = "views=1"
 """The parameter of a method that shows the first panorama only."""
+
+WHAT_IS_SEEN: Mapping[str, Mapping[str, Any]] = {
+    ONE_VIEW: {"shows_first_only": True},
+    "nadir=auto": {"leaves_out_camera_fixed": True},
+}
+"""What parameters change in a method."""
 
 VARIANTS = (
     f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
@@ -295,10 +323,10 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         is_adjustable = config.depth.strategy.model_is_optional
         if is_adjustable and (source := _changed_source(config.depth, parameter)) is not None:
             return replace(method, config=replace(config, depth=source))
-        if parameter in LEFT_OUT:
-            return replace(method, config=replace(config, **LEFT_OUT[parameter]))
-        if parameter == ONE_VIEW:
-            return replace(method, shows_first_only=True)
+        if parameter in SETTINGS:
+            return replace(method, config=replace(config, **SETTINGS[parameter]))
+        if parameter in WHAT_IS_SEEN:
+            return replace(method, **WHAT_IS_SEEN[parameter])
         if parameter == TOUR_PARAMETER and config.estimates_depth:
             return replace(method, is_in_tour=True)
         if key == "depth":
@@ -307,9 +335,10 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
                 return replace(method, depth_size=(height, width))
     except ValueError:
         pass
+    plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSION_PARAMETERS, *LEFT_OUT))}, "
-        f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {TOUR_PARAMETER} (where "
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {plain}, "
+        f"{', '.join(('rows=1024', *WITHOUT_NETWORK))} (where a network refines matching) or {TOUR_PARAMETER} (where "
         f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
     )
 
