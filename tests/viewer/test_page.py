@@ -183,3 +183,16 @@ def test_a_doubtful_pair_is_given_up_faded_or_soft_if_that_is_asked_for(tmp_path
         return
     (link,) = manifest_of(made(tmp_path, images, fallback=fallback).read_text())["links"]
     assert (link["isCrossFade"], link["isSoft"]) == (fallback == "crossfade", fallback == "soft")
+
+
+@pytest.mark.parametrize(("is_chain", "is_soft", "surfaces"), [(False, False, 3), (False, True, 4), (True, True, 4)])
+def test_soft_pairs_have_surfaces_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_chain: bool, is_soft: bool, surfaces: int
+) -> None:
+    """In a tour the other links share one surface for each panorama."""
+    if is_soft:  # nothing is reliable
+        for name in ("MIN_PAIR_SCORE", "REPLACED_RELIABILITY", "KEPT_RELIABILITY"):
+            monkeypatch.setattr(f"omnisyn_cli.synthesis.soft_surface.{name}", 2.0 + (name == "KEPT_RELIABILITY"))
+    manifest = manifest_of(made(tmp_path, write_hall(tmp_path, CHAIN), is_chain=is_chain).read_text())
+    assert [link["isSoft"] for link in manifest["links"]] == 2 * [is_soft]
+    assert len(manifest["surfaces"]) == surfaces

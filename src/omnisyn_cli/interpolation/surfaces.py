@@ -120,14 +120,14 @@ def pair_surfaces(
     """The surfaces of a pair whose depth is known.
 
     Args:
-        plan: of the tour; its config says where surfaces are cut, and whether those of a chain may be soft.
+        plan: of the tour; its config says where surfaces are cut, and whether they may be soft.
         index: of the pair.
         views: both.
         depths: of both.
         check: what they say of each other.
     """
     cut = Cut(plan.config.cut, plan.config.cut_metres)
-    is_soft = plan.config.fallback == "soft" and plan.is_chain and needs_soft_surface(views, depths, check)
+    is_soft = plan.config.fallback == "soft" and needs_soft_surface(views, depths, check)
     if is_soft:
         depths, cut = soften_pair(views, depths, check, cut, plan.job.threads), UNCUT
     views, depths = continue_ground(views, depths)

@@ -100,7 +100,8 @@ class PackedViewer:
 class TourPacker:
     """Packs the pairs of a tour.
 
-    Inside a chain a panorama may have a surface of its own in both its pairs, as its video has. Elsewhere it has one.
+    Inside a chain a panorama may have a surface of its own in both its pairs, as its video has. Elsewhere it has one,
+    and one more for each pair whose surfaces are soft.
 
     Args:
         plan: of the tour.
@@ -133,7 +134,7 @@ class TourPacker:
         gains = _gains(pair.cross_check.curve)
         self._links[pair.index] = {
             "panoramas": [surface.index for surface in pair.surfaces],
-            "surfaces": [self._surface(surface) for surface in pair.surfaces],
+            "surfaces": [self._surface(surface, is_soft=pair.is_soft) for surface in pair.surfaces],
             "isCrossFade": is_ambiguous,
             "isSoft": pair.is_soft,
             "correction": None if is_ambiguous or pair.is_soft else self._correction(pair),
@@ -216,15 +217,18 @@ class TourPacker:
         own = angles_to_direction(np.array(start.yaw), np.array(np.radians(90.0) - start.pitch))
         return {"panorama": index, "direction": (self._plan.entries[index].pose.rotation @ own).tolist(), "fov": fov}
 
-    def _surface(self, surface: PanoramaSurface) -> int:
-        """The number of the surface; at a crossing that of the first link is taken for all."""
-        known = None if self._plan.is_chain else self._surface_of.get(surface.index)
-        if known is None:
-            packed = self._packed_surface(surface.mesh)
-            if packed not in self._surfaces:
-                self._surfaces.append(packed)
-            known = self._surface_of[surface.index] = self._surfaces.index(packed)
-        return known
+    def _surface(self, surface: PanoramaSurface, *, is_soft: bool) -> int:
+        """The number of the surface; at a crossing that of the first link is taken for all but soft ones."""
+        is_shared = not self._plan.is_chain and not is_soft
+        if is_shared and surface.index in self._surface_of:
+            return self._surface_of[surface.index]
+        packed = self._packed_surface(surface.mesh)
+        if packed not in self._surfaces:
+            self._surfaces.append(packed)
+        number = self._surfaces.index(packed)
+        if is_shared:
+            self._surface_of[surface.index] = number
+        return number
 
     def _packed_surface(self, mesh: Mesh) -> dict[str, Any]:
         codes, peak = inverse_depth_codes(mesh.inverse_depth)

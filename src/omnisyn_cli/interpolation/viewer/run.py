@@ -64,7 +64,7 @@ class ViewJob(TourJob):
     Attributes:
         options: how the tour is packed.
         is_folder: whether it becomes a folder for a server instead of one file.
-        fallback: as of every job; by default surfaces of such pairs are soft, in chains.
+        fallback: as of every job; by default surfaces of such pairs are soft.
     """
 
     options: ViewOptions = field(default_factory=ViewOptions)
