@@ -12,6 +12,7 @@ from omnisyn_cli.stereo.depth_prior import DepthPrior
 from omnisyn_cli.stereo.expected_depth import fill_as_expected, with_priors
 from omnisyn_cli.stereo.expected_planes import expected_planes
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.plane_sweep import sweep_directions
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.types import View
@@ -156,9 +157,10 @@ def test_a_floor_of_equal_tiles_gets_its_height_from_what_is_expected(views: tup
 
 
 def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]) -> None:
-    pair = rectify(*views, SIZE)
-    assert len(expected_planes(pair)) == 0
-    planes = expected_planes(with_priors(pair, *views, KnowsTheRoom(factor=1.08)))
+    pair, none_swept = rectify(*views, SIZE), np.zeros((0, 3))
+    assert len(expected_planes(pair, sweep_directions(pair), none_swept)) == 0
+    pair = with_priors(pair, *views, KnowsTheRoom(factor=1.08))
+    planes = expected_planes(pair, sweep_directions(pair), none_swept)
     for axis in range(3):
         for corner in ROOM:
             way = np.sign(corner[axis]) * np.eye(3)[axis] @ pair.world_from_frame
@@ -166,6 +168,23 @@ def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]
             nearest = min(np.linalg.norm(plane - true) / np.linalg.norm(true) for plane in planes)
             assert nearest < 0.12  # as expected at worst
             assert nearest < 0.02 or corner[axis] < -1.7 or axis == 1
+
+
+def test_expected_floors_near_swept_ones_are_left_out_and_walls_are_not(views: tuple[View, View]) -> None:
+    pair = with_priors(rectify(*views, SIZE), *views, KnowsTheRoom())
+    directions, (x, y, z) = sweep_directions(pair), np.eye(3) @ pair.world_from_frame
+    planes = expected_planes(pair, directions, np.zeros((0, 3)))
+
+    def facing(way: np.ndarray, planes: np.ndarray) -> np.ndarray:
+        return planes[planes @ way > 0.97 * np.linalg.norm(planes, axis=-1)]
+
+    floor, wall = facing(-y, planes)[0], facing(-z, planes)[0]
+    near = expected_planes(pair, directions, 1.3 * np.stack([floor, wall]))
+    assert len(facing(-y, near)) == 0
+    for way in (x, y, z, -x, -z):
+        np.testing.assert_array_equal(facing(way, near), facing(way, planes))
+    far = expected_planes(pair, directions, 1.6 * floor[None])
+    np.testing.assert_array_equal(far, planes)
 
 
 def test_gaps_are_filled_with_what_is_expected_corrected_by_the_matches_around(views: tuple[View, View]) -> None:

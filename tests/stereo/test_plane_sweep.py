@@ -11,7 +11,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo.plane_fitting import planes_from_second
-from omnisyn_cli.stereo.plane_sweep import sweep_planes
+from omnisyn_cli.stereo.plane_sweep import sweep_directions, sweep_planes
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, rectify
 from omnisyn_cli.types import View
 
@@ -67,7 +67,7 @@ def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(
 ) -> None:
     unit = turn(np.array([1.0, 0.0, 0.0]), tilt_deg) @ np.array([0.0, -1.0, 0.0])
     pair = pair_above(unit, 1.6, 4.0, heading_deg)
-    best = sweep_planes(pair, pair.grid.up[None])[0]
+    best = sweep_planes(sweep_directions(pair), pair.grid.up[None])[0]
     assert 4.0 / np.linalg.norm(best) == pytest.approx(1.6, rel=0.01)
     found = pair.world_from_frame @ best / np.linalg.norm(best)
     assert math.degrees(math.acos(min(1.0, found @ unit))) < 0.7
@@ -75,9 +75,19 @@ def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(
 
 def test_a_ceiling_is_found_as_a_floor_is() -> None:
     pair = pair_above(np.array([0.0, 1.0, 0.0]), 1.2, 3.0, 10.0)
-    best = sweep_planes(pair, pair.grid.up[None])[0]
+    best = sweep_planes(sweep_directions(pair), pair.grid.up[None])[0]
     assert best @ pair.grid.up > 0
     assert 3.0 / np.linalg.norm(best) == pytest.approx(1.2, rel=0.01)
+
+
+def test_planes_that_fitting_moves_onto_one_another_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    down = np.array([0.0, -1.0, 0.0])
+    pair = pair_above(down, 1.6, 4.0, 10.0)
+    directions, up = sweep_directions(pair), pair.grid.up
+    found = [-up * 2.5 * factor for factor in (1.0, 1.03, 0.97)]
+    monkeypatch.setattr("omnisyn_cli.stereo.plane_sweep._greedy_planes", lambda *_: found)
+    (plane,) = sweep_planes(directions, up[None])
+    assert 4.0 / np.linalg.norm(plane) == pytest.approx(1.6, rel=0.01)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -86,7 +96,7 @@ def test_unrelated_pictures_have_no_plane_in_common(seed: int) -> None:
     first = photograph(np.zeros(3), 0.0, down, 1.6, seed=seed)
     second = photograph(np.array([0.0, 0.0, -4.0]), 0.0, down, 1.6, seed=seed + 100)
     pair = rectify(first, second, SIZE)
-    assert sweep_planes(pair, pair.grid.up[None]).shape == (0, 3)
+    assert sweep_planes(sweep_directions(pair), pair.grid.up[None]).shape == (0, 3)
 
 
 @pytest.mark.parametrize("height", [8, 64])
@@ -94,7 +104,7 @@ def test_pictures_without_texture_have_no_plane(height: int) -> None:
     grey = np.full((height, 2 * height, 3), 0.5, np.float32)
     views = [View(grey, Pose(np.eye(3), np.array([0.0, 0.0, -z]))) for z in (0.0, 2.0)]
     pair = rectify(views[0], views[1], (height, 2 * height))
-    assert sweep_planes(pair, pair.grid.up[None]).shape == (0, 3)
+    assert sweep_planes(sweep_directions(pair), pair.grid.up[None]).shape == (0, 3)
 
 
 def test_masked_ground_is_not_swept() -> None:
@@ -103,7 +113,7 @@ def test_masked_ground_is_not_swept() -> None:
     first, second = photograph(np.zeros(3), 0.0, down, 1.6), photograph(np.array([0.0, 0.0, -4.0]), 0.0, down, 1.6)
     first = View(first.image, first.pose, mask=masked)
     pair = rectify(first, second, SIZE)
-    assert sweep_planes(pair, pair.grid.up[None]).shape == (0, 3)
+    assert sweep_planes(sweep_directions(pair), pair.grid.up[None]).shape == (0, 3)
 
 
 @given(st.floats(0.1, 5.0), st.floats(0.0, math.pi), st.floats(-math.pi, math.pi))

@@ -29,7 +29,7 @@ from omnisyn_cli.stereo.expected_planes import expected_planes
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
-from omnisyn_cli.stereo.plane_sweep import sweep_planes
+from omnisyn_cli.stereo.plane_sweep import sweep_directions, sweep_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
@@ -159,8 +159,9 @@ def _find_planes(
     points = both(*(partial(_plane_points, pair, each) for pair, each in zip(pairs, matches, strict=True)))
     fitted = find_planes(points, pairs[0].grid.up, max_planes=options.max_planes, min_support=options.min_plane_support)
     axes = _sweep_axes(pairs[0].grid.up, fitted)
-    swept = np.zeros((0, 3)) if _is_narrow_baseline(pairs, matches) else sweep_planes(pairs[0], axes)
-    measured = _distinct(swept, expected_planes(pairs[0]))
+    directions = sweep_directions(pairs[0])
+    swept = np.zeros((0, 3)) if _is_narrow_baseline(pairs, matches) else sweep_planes(directions, axes)
+    measured = _distinct(swept, expected_planes(pairs[0], directions, swept))
     planes = _distinct(measured, fitted)
     candidates = CandidatePlanes(planes, np.arange(len(planes)) < len(measured))
     return candidates, candidates.seen_by_second()

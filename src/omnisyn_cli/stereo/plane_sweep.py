@@ -37,7 +37,15 @@ from omnisyn_cli.stereo.plane_fitting import (
 )
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
-__all__ = ["EXPLAINED_COST", "AxisSweep", "fit_plane", "significant_support", "sweep_directions", "sweep_planes"]
+__all__ = [
+    "EXPLAINED_COST",
+    "AxisSweep",
+    "Directions",
+    "fit_plane",
+    "significant_support",
+    "sweep_directions",
+    "sweep_planes",
+]
 
 T = TypeVar("T")
 
@@ -209,24 +217,25 @@ def _for_both_directions(directions: Directions, work: Callable[[int, SweepDirec
     return both(partial(alone, 0), partial(alone, 1))
 
 
-def sweep_planes(pair: RectifiedPair, axes: Float[np.ndarray, "axes 3"]) -> Float[np.ndarray, "planes 3"]:
+def sweep_planes(
+    directions: tuple[Directions, Directions], axes: Float[np.ndarray, "axes 3"]
+) -> Float[np.ndarray, "planes 3"]:
     """Planes across some axes, on either side of the cameras, that both panoramas see; best supported first.
 
     Each is a normal in the frame of the pair, as long as the inverse distance of its plane from the first camera
     (1/baselines).
 
     Args:
-        pair: of any size.
+        directions: from :func:`sweep_directions`.
         axes: unit vectors, up first: floors and ceilings are across it, walls across level ones.
     """
-    directions = sweep_directions(pair)
     found = _greedy_planes(directions[0], axes)
     fitted = [fit_plane(directions, normal) for normal in found]
-    planes = [
-        after
-        for before, after in zip(found, fitted, strict=True)
-        if _is_nearly_parallel(before, after) and np.linalg.norm(after) < 1.0 / NEAREST_PLANE_BASELINES
-    ]
+    planes: list[np.ndarray] = []
+    for before, after in zip(found, fitted, strict=True):
+        is_same = _is_nearly_parallel(before, after) and np.linalg.norm(after) < 1.0 / NEAREST_PLANE_BASELINES
+        if is_same and not any(_is_on_flank(after, plane) for plane in planes):
+            planes.append(after)
     return np.array(planes).reshape(-1, 3)
 
 
@@ -256,6 +265,13 @@ def _at_equal_exposure(pair: RectifiedPair) -> RectifiedPair:
 
 def _is_nearly_parallel(normal: np.ndarray, other: np.ndarray) -> bool:
     return bool(normal @ other > MIN_SLOPE_COSINE * np.linalg.norm(normal) * np.linalg.norm(other))
+
+
+def _is_on_flank(normal: np.ndarray, plane: np.ndarray) -> bool:
+    """Whether fitting has moved a plane to where another one would not have let it be found."""
+    distances = np.linalg.norm(normal), np.linalg.norm(plane)
+    step = (FARTHEST_PLANE_BASELINES / NEAREST_PLANE_BASELINES) ** (1.0 / (SWEEP_STEPS - 1))
+    return _is_nearly_parallel(normal, plane) and bool(max(distances) < step**PEAK_HALF_WIDTH * min(distances))
 
 
 @dataclass(frozen=True)
