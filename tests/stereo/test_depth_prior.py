@@ -8,6 +8,7 @@ from tests.stereo.test_plane_sweep import texture, turn
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.stereo import matching_estimator
 from omnisyn_cli.stereo.depth_prior import DepthPrior
 from omnisyn_cli.stereo.expected_depth import fill_as_expected, with_priors
 from omnisyn_cli.stereo.expected_planes import expected_planes
@@ -65,7 +66,7 @@ class KnowsTheRoom:
 
     def __call__(self, first, second, towards):
         self.asked.append((first, towards))
-        here = len(self.asked) > 2  # twice for the first panorama, then twice for the second one
+        here = len(self.asked) <= 2  # twice for the second panorama, then twice for the first one
         motion = POSITIONS[0] - POSITIONS[1] if here else POSITIONS[1] - POSITIONS[0]
         back = -motion * [1, 0, 1] / np.hypot(motion[0], motion[2])
         frame = np.stack([np.cross([0.0, 1.0, 0.0], back), [0.0, 1.0, 0.0], back], axis=1)
@@ -154,6 +155,24 @@ def test_a_floor_of_equal_tiles_gets_its_height_from_what_is_expected(views: tup
     expecting = share_right(MatchingDepthEstimator(options, prior=KnowsTheRoom(factor=1.1))(*views))
     assert without < 0.5
     assert expecting > 0.9
+
+
+def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(
+    views: tuple[View, View], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That saves time and changes nothing."""
+    label, counts, found = matching_estimator.label_surfaces, [], []
+    for share in (0.0, 1.0):
+        labelled: list[object] = []
+        monkeypatch.setattr(matching_estimator, "POORLY_MATCHED_SHARE", share)
+        monkeypatch.setattr(
+            matching_estimator, "label_surfaces", lambda *args, to=labelled: to.append(args[0]) or label(*args)
+        )
+        found.append(MatchingDepthEstimator(MatchingOptions(size=(128, 256)), prior=KnowsTheRoom()).features(*views))
+        counts.append(len(labelled))
+    assert counts == [4, 2]
+    for late, early in zip(*found, strict=True):
+        np.testing.assert_array_equal(late.filled, early.filled)
 
 
 def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]) -> None:

@@ -34,6 +34,9 @@ NETWORK_SIZE = (256, 512)
 BASELINES = 1.0, 2.25
 """The lengths of the baseline that the network is told of, once each."""
 
+HALF_TURN_ABOUT_Y = np.diag([-1.0, 1.0, -1.0])
+"""The cameras exchange their places: what was behind is ahead."""
+
 TOLERANCE_SHARE = 0.15
 """Error of √(inverse depth × baseline) that costs nothing, as a share of it."""
 
@@ -74,30 +77,49 @@ class PriorModel(Protocol):
 
 
 def with_priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -> RectifiedPair:
-    """The pair with what the network expects of both panoramas; it sees one after the other."""
-    frame = pair.world_from_frame
-    of_first = _prior_in_frame(frame, pair.size, first, second, model)
-    return replace(pair, priors=(of_first, _prior_in_frame(frame @ HALF_TURN_ABOUT_Z, pair.size, second, first, model)))
+    """The pair with what the network expects of both panoramas; it sees one after the other.
+
+    It is asked in one order of the two, whichever is the first one: exchanged panoramas get the same answers.
+    """
+    if pair.is_canonical_order:
+        return replace(pair, priors=_priors(pair, first, second, model))
+    of_second, of_first = _priors(pair.reversed(), second, first, model)
+    return replace(pair, priors=(of_first, of_second))
 
 
-def _prior_in_frame(
-    world_from_frame: Float[np.ndarray, "3 3"], size: tuple[int, int], view: View, other: View, model: PriorModel
-) -> DepthPrior:
-    world_from_network, prior = _prior(view, other, model)
-    directions = rotated_directions(size, world_from_network, world_from_frame)
+def _priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -> tuple[DepthPrior, DepthPrior]:
+    right = forward_frame(first.pose, second.pose)[0].rotation[:, 0]
+    upright = np.stack([right, UP, np.cross(right, UP)], axis=1)  # the second camera ahead
+    motion = upright.T @ (second.pose.position - first.pose.position)
+    towards = motion / np.linalg.norm(motion)
+    pictures = _turned(first, upright), _turned(second, upright)
+    of_first = _prior(*pictures, towards, model)
+    # Half a turn later the first camera is ahead. A panorama is turned by moving its columns.
+    own, other = (np.roll(each, NETWORK_SIZE[1] // 2, axis=-1) for each in pictures[::-1])
+    of_second = _prior(own, other, HALF_TURN_ABOUT_Y @ -towards, model)
+    frame, size = pair.world_from_frame, pair.size
+    return (
+        _in_frame(frame, size, upright, of_first),
+        _in_frame(frame @ HALF_TURN_ABOUT_Z, size, upright @ HALF_TURN_ABOUT_Y, of_second),
+    )
+
+
+def _in_frame(
+    world_from_frame: Float[np.ndarray, "3 3"], size: tuple[int, int], world_from_prior: Float[np.ndarray, "3 3"],
+    prior: DepthPrior,
+) -> DepthPrior:  # fmt: skip
+    directions = rotated_directions(size, world_from_prior, world_from_frame)
     return prior.remapped(RemapTable.for_directions(directions, NETWORK_SIZE))
 
 
-def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray, "3 3"], DepthPrior]:
-    """What the network expects of a panorama, and the orientation of the map: world from frame."""
-    motion = other.pose.position - view.pose.position
-    right = forward_frame(view.pose, other.pose)[0].rotation[:, 0]
-    frame = np.stack([right, UP, np.cross(right, UP)], axis=1)  # upright, the other camera ahead
-    first, second = _turned(view, frame), _turned(other, frame)
-    towards = frame.T @ motion / np.linalg.norm(motion)
+def _prior(
+    own: Float32[np.ndarray, "3 height width"], other: Float32[np.ndarray, "3 height width"],
+    towards: Float[np.ndarray, " 3"], model: PriorModel,
+) -> DepthPrior:  # fmt: skip
+    """What the network expects of a panorama, as it sees it."""
 
     def answer(baseline: float) -> tuple[np.ndarray, np.ndarray]:
-        inverse_depth, confidence = model(first, second, towards * baseline)
+        inverse_depth, confidence = model(own, other, towards * baseline)
         return np.sqrt(inverse_depth * baseline), confidence
 
     (short, short_confidence), (long, long_confidence) = (answer(baseline) for baseline in BASELINES)
@@ -105,7 +127,7 @@ def _prior(view: View, other: View, model: PriorModel) -> tuple[Float[np.ndarray
     confidence = 0.5 * (short_confidence + long_confidence)
     spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, MIN_CONFIDENCE, 0.999))
     tolerance = np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
-    return frame, DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
+    return DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
 
 
 def _turned(view: View, frame: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "3 height width"]:

@@ -56,6 +56,12 @@ class RectifiedPair:
         """``(height, width)`` of the images."""
         return self.first.shape[0], self.first.shape[1]
 
+    @property
+    def is_canonical_order(self) -> bool:
+        """True of either a pair or its reverse, by the places of the cameras alone: so both can have the same planes."""
+        way = self.world_from_frame[:, 1]
+        return bool(way[np.abs(way).argmax()] > 0)
+
     @cached_property
     def grid(self) -> EpipolarGrid:
         """The pixels of both images."""
