@@ -16,6 +16,8 @@ from omnisyn_cli.networks.guided_depth import (
     GuidedDepthNetwork,
     GuidedDepthPrediction,
     convex_upsample,
+    correlate,
+    correlate_gathered,
     feature_directions,
     sweep_grid,
 )
@@ -178,3 +180,13 @@ def test_convex_upsampling_stays_within_the_neighbourhood_and_keeps_constants():
     torch.testing.assert_close(
         convex_upsample(torch.full((1, 1, 4, 8), 0.3), torch.randn(1, 36, 4, 8)), torch.full((1, 1, 8, 16), 0.3)
     )
+
+
+def test_features_that_are_gathered_correlate_as_those_that_are_sampled():
+    """The second way is that of the exported file. Seam and poles are among the places."""
+    first, second = torch.randn(2, 1, 4, 6, 16, 32)
+    azimuth = torch.rand(1, 12, 16, 32) * 2.0 - 1.0
+    polar = torch.rand(1, 12, 16, 32) * 2.0 - 1.0
+    azimuth[0, 0], polar[0, 1], polar[0, 2] = 0.9999, 1.0, -1.0
+    found = correlate_gathered(first, second, azimuth, polar)
+    torch.testing.assert_close(found, correlate(first, second, azimuth, polar), atol=1e-4, rtol=0.0)

@@ -58,7 +58,7 @@ class RectifiedPair:
 
     @property
     def is_canonical_order(self) -> bool:
-        """True of either a pair or its reverse, by the places of the cameras alone: so both can have the same planes."""
+        """True of either a pair or its reverse, by the places of the cameras alone: so both have the same planes."""
         way = self.world_from_frame[:, 1]
         return bool(way[np.abs(way).argmax()] > 0)
 
