@@ -4,23 +4,35 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from omnisyn_cli.evaluation.measure import depth_records
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+from omnisyn_cli.types import DepthEstimate, View
+
+TRUE_DEPTH = RunConfig(DepthSource("file"))
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A pair's confidence, and the true WS-PSNR in dB of its frame half way."""
+    """A pair's confidence, and the truth about it.
+
+    Attributes:
+        name: of the pair.
+        score: of its frames.
+        expected: WS-PSNR in dB that it expects of them.
+        true: WS-PSNR of its frame half way.
+        calibration_error: of the confidence of its depth, mean of both views; None where it is the same everywhere.
+    """
 
     name: str
     score: float
     expected: float
     true: float
+    calibration_error: float | None
 
 
 def generated_views(kind: str, seed: int, baseline: float, size: tuple[int, int]) -> list[View]:
@@ -40,20 +52,15 @@ def disturbed(view: View, degrees: float, metres: float) -> View:
 
 
 def judged(
-    name: str, views: list[View], estimator: DepthEstimator, degrees: float = 0.0, metres: float = 0.0
-) -> Judged:
-    """What a pair says about itself, and what the truth says."""
+    name: str, views: list[View], degrees: float = 0.0, metres: float = 0.0,
+    config: RunConfig = TRUE_DEPTH,
+) -> Judged:  # fmt: skip
+    """What a pair says about itself, and what the truth says; of true depth by default."""
     first, middle, last = views[0], views[len(views) // 2], views[-1]
     last = disturbed(last, degrees, metres) if degrees or metres else last
-    options = SynthesisOptions(first.image.shape[:2], threads=2)
-    pair = SurfaceMethod(estimator, options).prepare(0, [first, last])
+    pair = make_method(config, first.image.shape[:2], threads=2).prepare(0, [first, last])
     confidence, frame = pair.prepared.cross_check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
+    records = depth_records(pair.depths, (first, last), ("first", "last"))
+    errors = [record.doubt["calibration_error"] for record in records if "calibration_error" in record.doubt]
     true = ws_psnr(np.clip(frame.image, 0, 1), middle.image)
-    return Judged(name, confidence.score, confidence.expected, true)
-
-
-def rank_correlation(one: list[float], other: list[float]) -> float:
-    """Spearman's, without ties: 1 − 6·Σd² / (n·(n² − 1))."""
-    ranks = [np.argsort(np.argsort(values)) for values in (one, other)]
-    count = len(one)
-    return float(1 - 6 * ((ranks[0] - ranks[1]) ** 2).sum() / (count * (count**2 - 1)))
+    return Judged(name, confidence.score, confidence.expected, true, float(np.mean(errors)) if errors else None)
