@@ -51,14 +51,12 @@ def expected_planes(
     if small.priors is None:
         return np.zeros((0, 3))
     points = _points(small.grid, small.priors[0]), _points(small.reversed().grid, small.priors[1])
-    found = find_planes(points, pair.grid.up, max_planes=MAX_PLANES, min_support=MIN_SUPPORT)
-    floors = [normal for normal in swept if _is_level(normal, pair.grid.up)]
-    expected = [
-        normal for normal in found if not any(_is_near(floor, normal, MAX_FLOOR_DISTANCE_FACTOR) for floor in floors)
-    ]
+    expected = find_planes(points, pair.grid.up, max_planes=MAX_PLANES, min_support=MIN_SUPPORT)
     fitted = [fit_plane(directions, normal) for normal in expected]
     planes = [after if _is_near(before, after) else before for before, after in zip(expected, fitted, strict=True)]
-    return np.reshape(planes, (-1, 3))
+    floors = [normal for normal in swept if _is_level(normal, pair.grid.up)]
+    kept = [plane for plane in planes if not any(_is_near(floor, plane, MAX_FLOOR_DISTANCE_FACTOR) for floor in floors)]
+    return np.reshape(kept, (-1, 3))
 
 
 def _points(grid: EpipolarGrid, prior: DepthPrior) -> PlanePoints:

@@ -80,6 +80,9 @@ MAX_SWEPT_PLANES = 6
 PEAK_HALF_WIDTH = 4
 """Steps of the sweep to either side of a plane that propose no other one: its own flank, 26 % nearer or farther."""
 
+FLANK_DISTANCE_FACTOR = 1.26
+"""The same for planes that have been fitted: nearer to one before it, a plane has moved onto that one."""
+
 MIN_PEAK_RATIO = 2.0
 """Least score of a plane over the median of all distances of its direction, in both panoramas."""
 
@@ -270,8 +273,7 @@ def _is_nearly_parallel(normal: np.ndarray, other: np.ndarray) -> bool:
 def _is_on_flank(normal: np.ndarray, plane: np.ndarray) -> bool:
     """Whether fitting has moved a plane to where another one would not have let it be found."""
     distances = np.linalg.norm(normal), np.linalg.norm(plane)
-    step = (FARTHEST_PLANE_BASELINES / NEAREST_PLANE_BASELINES) ** (1.0 / (SWEEP_STEPS - 1))
-    return _is_nearly_parallel(normal, plane) and bool(max(distances) < step**PEAK_HALF_WIDTH * min(distances))
+    return _is_nearly_parallel(normal, plane) and bool(max(distances) < FLANK_DISTANCE_FACTOR * min(distances))
 
 
 @dataclass(frozen=True)
