@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from omnisyn_cli.fusion.blend_rule import (
-    BlendOptions,
-    BlendRule,
-    LayerArrays,
-    blend_layers,
-    dissolve_share,
-    view_weights,
-)
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.geometry.pose import Pose
@@ -52,9 +45,10 @@ VIEWS = rendering(0), rendering(1)
 
 @pytest.mark.parametrize("t", [0.0, 0.002, 0.05, 0.5, 0.93, 1.0])
 @pytest.mark.parametrize("options", [BlendOptions(), BlendOptions(0.2, 0.3), BlendOptions(hidden_weight=1.0)], ids=str)
-def test_the_kernel_is_the_rule(t: float, options: BlendOptions) -> None:
+@pytest.mark.parametrize("dissolves", [False, True])
+def test_the_kernel_is_the_rule(t: float, options: BlendOptions, dissolves: bool) -> None:
     """What is seen, to a tenth of a level; the exponential of the kernel is right to a ten-thousandth of itself."""
-    rule, views = BlendRule.at(t, options), [shown(view) for view in VIEWS]
+    rule, views = BlendRule.at(t, options, dissolves=dissolves), [shown(view) for view in VIEWS]
     weights = view_weights(*views, DIRECTIONS, rule)
     expected, counts = blend_layers(*views, weights)
     fuser, found = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
@@ -103,8 +97,15 @@ def test_hiding_sets_in_smoothly_and_symmetrically() -> None:
     assert (np.diff(occlusion_strength[:21]) >= 0).all()
 
 
-def test_a_dissolve_is_symmetric_quick_and_whole_at_both_ends() -> None:
-    assert (dissolve_share(0.0), dissolve_share(0.5), dissolve_share(1.0)) == (0.0, 0.5, 1.0)
-    assert dissolve_share(0.3) + dissolve_share(0.7) == pytest.approx(1.0)
-    assert dissolve_share(0.25) < 0.02
-    assert np.all(np.diff([dissolve_share(t) for t in np.linspace(0.0, 1.0, 50)]) > 0.0)
+@pytest.mark.parametrize("t", [0.0, 0.25, 0.5, 1.0])
+def test_a_dissolve_shows_most_places_from_one_layer(t: float) -> None:
+    views = [shown(view) for view in VIEWS]
+    plain, quick = (
+        view_weights(*views, DIRECTIONS, BlendRule.at(t, BlendOptions(), dissolves=dissolves))
+        for dissolves in (False, True)
+    )
+    is_both = (plain[0] > 0) & (plain[1] > 0)
+    before, after = (weights[0][is_both] / (weights[0] + weights[1])[is_both] for weights in (plain, quick))
+    np.testing.assert_allclose(after, before**4 / (before**4 + (1 - before) ** 4), atol=1e-5)
+    for weights, kept in zip(quick, plain, strict=True):
+        np.testing.assert_array_equal(weights > 0, kept > 0)

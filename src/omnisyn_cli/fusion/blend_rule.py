@@ -9,6 +9,9 @@ The weight of a layer is the product of
   there and has less parallax;
 * visibility: where the inverse depths differ, the nearer surface hides the farther one.
 
+A dissolve takes the shares of both to the fourth power. So most places show one layer alone, the nearer and surer one,
+and change over from a tenth to nine tenths in a quarter of the way. Chosen by eye on two real restaurants.
+
 Measured on ray-traced scenes with true depth (mean of nine frames): the share alone 30.8 dB, with proximity 31.1 dB. A
 further factor for the angle at which a surface was seen lost 0.1 dB and is left out.
 
@@ -27,19 +30,12 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
-__all__ = [
-    "DISSOLVE_POWER", "FAR_WEIGHT_OFFSET", "BlendOptions", "BlendRule", "LayerArrays", "blend_layers",
-    "dissolve_share", "view_weights",
-]  # fmt: skip
+__all__ = ["FAR_WEIGHT_OFFSET", "BlendOptions", "BlendRule", "LayerArrays", "blend_layers", "view_weights"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FAR_WEIGHT_OFFSET = 0.01
 """1/metre added to inverse depths before hole filling compares them: 100 m are as good as infinity. Set by hand."""
-
-DISSOLVE_POWER = 4
-"""Of the shares of a dissolve: it goes from a tenth to nine tenths in 27 % of the way. Before and after, nothing is
-double. Chosen by eye on two real restaurants."""
 
 
 @dataclass(frozen=True)
@@ -66,25 +62,22 @@ class BlendRule:
         disagreement: see :class:`BlendOptions`.
         hidden_weight: the least share of its weight that a hidden surface keeps here: all of it at both ends.
         occlusion_strength: how strictly the nearer surface wins: 0 at both ends of the way, 1 in between.
+        dissolves: whether most places show one layer alone.
     """
 
     t: float
     disagreement: float
     hidden_weight: float
     occlusion_strength: float
+    dissolves: bool = False
 
     @staticmethod
-    def at(t: float, options: BlendOptions) -> BlendRule:
+    def at(t: float, options: BlendOptions, *, dissolves: bool = False) -> BlendRule:
         """At a share ``t`` of the way; visibility sets in by a smooth step from either end."""
         x = min(1.0, min(t, 1.0 - t) / options.ramp_share)
         occlusion_strength = x * x * (3.0 - 2.0 * x)
-        return BlendRule(t, options.disagreement, options.hidden_weight**occlusion_strength, occlusion_strength)
-
-
-def dissolve_share(t: float) -> float:
-    """The share ``t`` of the way as a dissolve takes it: it happens around half way, and is quick."""
-    gone, left = t**DISSOLVE_POWER, (1.0 - t) ** DISSOLVE_POWER
-    return gone / (gone + left)
+        hidden_weight = options.hidden_weight**occlusion_strength
+        return BlendRule(t, options.disagreement, hidden_weight, occlusion_strength, dissolves)
 
 
 @dataclass(frozen=True)
@@ -138,7 +131,11 @@ def view_weights(
     is_both = first.is_seen & second.is_seen
     shared_a = (1.0 - rule.t) * a * xp.where(gap < 0.0, rest, one)
     shared_b = rule.t * b * xp.where(gap < 0.0, one, rest)
-    return xp.where(is_both, shared_a, a), xp.where(is_both, shared_b, b)
+    weights = xp.where(is_both, shared_a, a), xp.where(is_both, shared_b, b)
+    if not rule.dissolves:
+        return weights
+    total = xp.clip(weights[0] + weights[1], min=1e-37)
+    return (weights[0] / total) ** 4, (weights[1] / total) ** 4
 
 
 def normalized_depth_gap(first: LayerArrays, second: LayerArrays, disagreement: float) -> Float[Array, "*pixels"]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.fusion.blend_kernels import LayerRows, blend_rows, kernel_rule, quantization_for, source_offset
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, dissolve_share
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.confidence import confidence_step
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
@@ -61,9 +61,9 @@ class GeometricFuser:
     def dissolve(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
-        """As a call, but by the blend rule alone, and mostly around half way: no layer is chosen where they differ."""
-        out = self._output_buffer(out)
-        self.blend(self._with_confidence(first, second, confidence), BlendRule.at(dissolve_share(t), self.options), out)
+        """As a call, but by the blend rule alone, as a dissolve: ghosts stay."""
+        out, rule = self._output_buffer(out), BlendRule.at(t, self.options, dissolves=True)
+        self.blend(self._with_confidence(first, second, confidence), rule, out)
         return out
 
     def blend(self, layers: LayerPair, rule: BlendRule, out: Picture) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.fusion.blend_rule import DISSOLVE_POWER, FAR_WEIGHT_OFFSET, BlendOptions
+from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
@@ -55,7 +55,6 @@ RULES: Mapping[str, float] = {
     "DISAGREEMENT": BlendOptions.disagreement,
     "HIDDEN": BlendOptions.hidden_weight,
     "ENDS": BlendOptions.ramp_share,
-    "DISSOLVE_POWER": float(DISSOLVE_POWER),
     "FAR_WEIGHT_OFFSET": FAR_WEIGHT_OFFSET,
     "MIP_BIAS": float(MIP_BIAS),
     "MAX_FULL_RESOLUTION_LEVEL": float(MAX_FULL_RESOLUTION_LEVEL),

@@ -24,7 +24,6 @@ from omnisyn_cli.fusion.blend_rule import (
     BlendRule,
     LayerArrays,
     blend_layers,
-    dissolve_share,
     view_weights,
 )
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
@@ -195,8 +194,7 @@ class GpuPair:
         seen = [surface.seen_from(pose) for surface, pose in zip(self.surfaces, poses, strict=True)]
         self._nearest = torch.maximum(*(view.inverse_depth.max() for view in seen))
         first, second = self._expose(seen[0], seen[1], t)
-        share = dissolve_share(t) if self._dissolves else t
-        image = self._fused(first, second, BlendRule.at(share, self._frames.options))
+        image = self._fused(first, second, BlendRule.at(t, self._frames.options, dissolves=self._dissolves))
         torch.from_numpy(out).copy_(samples_of(image) if out.dtype == np.uint8 else image)
 
     def _fused(self, first: Layer, second: Layer, rule: BlendRule) -> Float32[Tensor, "height width 3"]:

@@ -82,13 +82,13 @@ class Renderer {
     gl.disable(gl.CULL_FACE);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.levels[0].pullInto);
     const { one, targets } = this;
-    const rule = ruleAt(scene.isSoft ? dissolveShare(scene.t) : scene.t);
+    const rule = ruleAt(scene.t);
     this.blend.use({
       lens: eye.lens, size, seen: targets.seen, photo: scene.views.map((view) => view.photo),
       usable: scene.views.map((view) => view.mask ?? one),
       trust: scene.views.map((view) => view.surface?.trust ?? one),
       exposure: scene.views.map((view) => view.exposure?.gains ?? one),
-      toSource: turns.map(transposed).map(columns), offset: offsets.flat(), isCrossFade: scene.isCrossFade ? 1 : 0,
+      toSource: turns.map(transposed).map(columns), offset: offsets.flat(), isCrossFade: scene.isCrossFade ? 1 : 0, dissolves: scene.isSoft ? 1 : 0,
       has: scene.views.flatMap((view) => [view.surface, view.mask, view.surface?.trust, view.exposure].map((x) => (x ? 1 : 0))),
       exposed: scene.views.flatMap((view, k) => [scene.t - k, scene.t === k ? 0 : view.exposure?.lossOfWhite(scene.t) ?? 0]),
       rule: [rule.t, DISAGREEMENT, rule.hidden],
@@ -247,12 +247,6 @@ class Renderer {
     });
     this.targets = null;
   }
-}
-
-// omnisyn_cli.fusion.blend_rule.dissolve_share: how soft surfaces dissolve
-function dissolveShare(t) {
-  const gone = t ** DISSOLVE_POWER, left = (1 - t) ** DISSOLVE_POWER;
-  return gone / (gone + left);
 }
 
 // omnisyn_cli.fusion.blend_rule.BlendRule.at
