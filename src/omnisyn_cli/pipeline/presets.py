@@ -35,7 +35,7 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 
 SCALE: Mapping[str, Preset] = _by_name(
     Preset("fast", "10 s, 25.0 dB; for drafts", _refined(384, edges=False)),
-    Preset("balanced", "30 s, 26.6 dB; the default", _refined(1024, "depth-guided", fusion="network")),
+    Preset("balanced", "29 s, 26.6 dB; the default", _refined(1024, "depth-guided", fusion="network")),
 )
 """By name, from the fastest to the most accurate."""
 
