@@ -30,6 +30,7 @@ class GeometricFuser:
         options: of the blend rule.
         threads: at most this many; None is one per core.
         edges: whether edge pixels are supersampled (:mod:`omnisyn_cli.fusion.supersampling`) if the layers can be.
+        ghosts: whether things that moved come from one layer alone.
 
     Attributes:
         tiles: runs over the row tiles of both layers.
@@ -38,13 +39,14 @@ class GeometricFuser:
 
     def __init__(
         self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None, *,
-        edges: bool = True,
+        edges: bool = True, ghosts: bool = True,
     ) -> None:  # fmt: skip
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
         self.tiles, self.is_seen = LayerPairShader(size, threads), np.empty(size, np.uint8)
         self._tables = DirectionTables.of_target(size)
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
+        self._suppresses_ghosts = ghosts
         self._picture: np.ndarray | None = None
 
     def __call__(
@@ -93,7 +95,9 @@ class GeometricFuser:
 
     def _suppression(self, first: Layer, second: Layer, rule: BlendRule) -> ColourStep | None:
         """The step that suppresses ghosts; None without ghosts."""
-        return None if have_same_position(first, second) else self._ghosts(first, second, rule)
+        if not self._suppresses_ghosts or have_same_position(first, second):
+            return None
+        return self._ghosts(first, second, rule)
 
     def _with_confidence(self, first: Layer, second: Layer, confidence: Confidence | None) -> LayerPair:
         """Both layers, with the step that writes ``confidence`` if that is given."""

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from omnisyn_cli.compute.threads import limited_threads
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces
@@ -54,9 +55,10 @@ def correction_of(plan: TourPlan, pair: PairSurfaces) -> UInt8[np.ndarray, "rows
         if not isinstance(method, SurfaceMethod):
             return None
         prepared = method.prepare(0, views).prepared
+        rules = GeometricFuser(size, threads=threads, edges=False, ghosts=False)
         by_rule, fused = (
-            fuse_frame(way, waypoint, fuser, method.options, method.clock, None).frame.image.copy()
-            for way in (replace(prepared, is_soft=True), prepared)
+            fuse_frame(prepared, waypoint, one, method.options, method.clock, None).frame.image.copy()
+            for one in (rules, fuser)
         )
     change = np.rint(CORRECTION_SCALE * CORRECTION_SHARE * np.clip(fused - by_rule, -1.0, 1.0))
     if np.abs(change).max() < MIN_CORRECTION:
