@@ -30,9 +30,9 @@ MAX_GROUND_DEG, MAX_START_DEG = 60.0, 40.0
 RING_DEG = 12.0
 """Degrees around a gap whose depth says where its ground is. Set by hand."""
 
-MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE, UNSURE_HEIGHT_TOLERANCE = 0.4, 0.1, 0.2
+MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE, SOFT_HEIGHT_TOLERANCE = 0.4, 0.1, 0.2
 """Share of what is known around a gap that has to agree on a height, and the relative range that counts as one. The
-last one is for depth that is hardly sure, as on soft surfaces."""
+last one is for depth of little confidence, as on soft surfaces."""
 
 SAME_GROUND_TOLERANCE = 0.12
 """Relative difference of inverse depth up to which a pixel shows the ground. Set by hand."""
@@ -143,8 +143,8 @@ def _height(view: View, depth: DepthEstimate, gap: Bool[np.ndarray, "height widt
     heights = np.log(down[usable] / rho[usable])
     order = np.argsort(heights)
     heights, sums = heights[order], np.concatenate([[0.0], np.cumsum(weight[order])])
-    is_sure = np.median(depth.confidence[usable]) > MIN_OTHER_CONFIDENCE
-    ends = np.searchsorted(heights, heights + (HEIGHT_TOLERANCE if is_sure else UNSURE_HEIGHT_TOLERANCE))
+    is_confident = np.median(depth.confidence[usable]) > MIN_OTHER_CONFIDENCE
+    ends = np.searchsorted(heights, heights + (HEIGHT_TOLERANCE if is_confident else SOFT_HEIGHT_TOLERANCE))
     within = sums[ends] - sums[: len(heights)]
     best = int(np.argmax(within))
     if within[best] < MIN_HEIGHT_SHARE * sums[-1]:
