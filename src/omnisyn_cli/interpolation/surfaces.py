@@ -22,9 +22,7 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
-from omnisyn_cli.synthesis.ground import continue_ground
-from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, measure_pair, usable_image
-from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, drawn_surfaces, measure_pair, usable_image
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 
@@ -126,11 +124,9 @@ def pair_surfaces(
         depths: of both.
         check: what they say of each other.
     """
-    cut = Cut(plan.config.cut, plan.config.cut_metres)
-    is_soft = plan.config.fallback == "soft" and needs_soft_surface(views, depths, check)
-    if is_soft:
-        depths, cut = soften_pair(views, depths, check, cut, plan.job.threads), UNCUT
-    views, depths = continue_ground(views, depths)
+    config, threads = plan.config, plan.job.threads
+    cut, softens = Cut(config.cut, config.cut_metres), config.fallback == "soft"
+    views, depths, cut, is_soft = drawn_surfaces(views, depths, check, cut, threads, softens=softens)
     first, second = (_meshed(plan.pairs[index][k], views[k], depths[k], cut) for k in (0, 1))
     return PairSurfaces(index, (first, second), check, is_soft)
 

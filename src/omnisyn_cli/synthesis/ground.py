@@ -40,8 +40,9 @@ SAME_GROUND_TOLERANCE = 0.12
 GROUND_CONFIDENCE = 0.05
 """Confidence of continued ground: what the other panorama shows there counts more. Set by hand."""
 
-MIN_OTHER_CONFIDENCE = 0.3
-"""Confidence of the other panorama's depth from which on it shows the ground: soft surfaces (0.15) do not."""
+MIN_GROUND_CONFIDENCE = 0.3
+"""Confidence from which on depth is that of the ground itself, and the other panorama's colours are too: soft surfaces
+have 0.15."""
 
 EDGE_PIXELS, MAX_STEP = 4, 0.3
 """Pixels around a gap that its filling has to join, and the greatest difference that is added for it. Set by hand."""
@@ -143,7 +144,7 @@ def _height(view: View, depth: DepthEstimate, gap: Bool[np.ndarray, "height widt
     heights = np.log(down[usable] / rho[usable])
     order = np.argsort(heights)
     heights, sums = heights[order], np.concatenate([[0.0], np.cumsum(weight[order])])
-    is_confident = np.median(depth.confidence[usable]) > MIN_OTHER_CONFIDENCE
+    is_confident = np.median(depth.confidence[usable]) > MIN_GROUND_CONFIDENCE
     ends = np.searchsorted(heights, heights + (HEIGHT_TOLERANCE if is_confident else SOFT_HEIGHT_TOLERANCE))
     within = sums[ends] - sums[: len(heights)]
     best = int(np.argmax(within))
@@ -162,7 +163,7 @@ def _seen_by_other(
     to_ground = (world * rho[:, None]) @ other.pose.rotation
     known = sample_nearest(other_depth.inverse_depth, to_ground)
     seen = np.abs(known - rho) < SAME_GROUND_TOLERANCE * np.maximum(known, rho)
-    seen &= sample_nearest(other_depth.confidence, to_ground) > MIN_OTHER_CONFIDENCE
+    seen &= sample_nearest(other_depth.confidence, to_ground) > MIN_GROUND_CONFIDENCE
     if other.mask is not None:
         seen &= sample_nearest(other.mask.astype(np.float32), to_ground) > 0.5
     return np.asarray(seen), np.asarray(sample_bilinear(np.asarray(other.image, np.float32), to_ground))

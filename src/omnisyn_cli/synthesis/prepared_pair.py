@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -25,7 +25,7 @@ from omnisyn_cli.types import DepthEstimate, View
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
-__all__ = ["SynthesisOptions", "measure_pair", "usable_image"]
+__all__ = ["SynthesisOptions", "drawn_surfaces", "measure_pair", "usable_image"]
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,11 @@ def prepare_pair(
     depths, check = measure_pair(index, chain, options, clock)
     first_view, second_view = chain.links[index]
     whole = chain.views[first_view], chain.views[second_view]
-    is_soft = options.soften and needs_soft_surface(whole, depths, check)
     with clock("mesh"):
-        drawn_depths = soften_pair(whole, depths, check, options.cut, options.threads) if is_soft else depths
-        (first, second), drawn_depths = continue_ground(whole, drawn_depths)
-    if is_soft:
-        options = replace(options, cut=UNCUT)
+        (first, second), drawn_depths, cut, is_soft = drawn_surfaces(
+            whole, depths, check, options.cut, options.threads, softens=options.soften
+        )
+        options = replace(options, cut=cut)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
         masked_fade = MaskedFade(whole, options.size, options.threads)
@@ -138,6 +137,43 @@ def prepare_pair(
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
     return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, None, is_soft)
+
+
+class DrawnSurfaces(NamedTuple):
+    """What the surfaces of a pair are made of.
+
+    Attributes:
+        views: both; the ground is continued below masks.
+        depths: of both.
+        cut: where the surfaces are cut.
+        is_soft: whether they are soft.
+    """
+
+    views: tuple[View, View]
+    depths: tuple[DepthEstimate, DepthEstimate]
+    cut: Cut
+    is_soft: bool
+
+
+def drawn_surfaces(
+    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck, cut: Cut,
+    threads: int | None, *, softens: bool,
+) -> DrawnSurfaces:  # fmt: skip
+    """What surfaces are made of, given the depth that was found.
+
+    Args:
+        views: both.
+        depths: of both.
+        check: what they say of each other.
+        cut: where surfaces are cut that are not soft.
+        threads: at most this many; None is one per core.
+        softens: whether surfaces that cannot be relied on become soft.
+    """
+    is_soft = softens and needs_soft_surface(views, depths, check)
+    if is_soft:
+        depths, cut = soften_pair(views, depths, check, cut, threads), UNCUT
+    views, depths = continue_ground(views, depths)
+    return DrawnSurfaces(views, depths, cut, is_soft)
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:

@@ -19,13 +19,7 @@ import torch
 from jaxtyping import Bool, Float32, Integer, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.blend_rule import (
-    BlendOptions,
-    BlendRule,
-    LayerArrays,
-    blend_layers,
-    view_weights,
-)
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
