@@ -166,8 +166,6 @@ class MethodAtWork:
 
 def _without_camera_fixed(first: View, second: View) -> list[View]:
     """Both views, in which what moves with the camera is masked."""
-    if at_same_position(first.pose, second.pose):
-        return [first, second]
     fixed = find_camera_fixed(first, second)
     return [
         view if found is None else replace(view, mask=~found if view.mask is None else view.mask & ~found)

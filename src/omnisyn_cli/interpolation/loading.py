@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import reading_of
 from omnisyn_cli.interpolation.plan import TourPlan
@@ -121,8 +120,6 @@ def _find_camera_fixed(
     views = [
         View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
     ]
-    if at_same_position(views[0].pose, views[1].pose):
-        return None, None
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
     return find_camera_fixed(views[0], views[1])

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.synthesis.nadir_map import (
@@ -98,10 +98,14 @@ MARGIN_PIXELS = 2
 def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | None]:
     """Pixels of both views, each at its own size, that show what moves with the camera; None where nothing does.
 
+    Where both stand at one place nothing can be said.
+
     Args:
         first: a panorama.
         second: one taken elsewhere with the same camera.
     """
+    if at_same_position(first.pose, second.pose):
+        return None, None
     views, maps = (first, second), (NadirMap.of(first), NadirMap.of(second))
     painted = find_painted(views, maps)
     on_map = [
