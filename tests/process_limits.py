@@ -1,17 +1,14 @@
 """How much memory this process has held at most, and how large its files may grow."""
 
-import gc
 import resource
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 STATUS = Path("/proc/self/status")
-
-FORGET = Path("/proc/self/clear_refs")
-
-PEAK_ONLY = "5"
-"""See proc(5)."""
 
 
 def peak_memory() -> int:
@@ -21,13 +18,21 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def renewed_peak_memory() -> int:
-    """The same from here on, where the system forgets: what was held before and given back counts no more."""
-    gc.collect()  # what other tests left behind would be given back in between
-    if FORGET.exists():
-        with suppress(OSError):
-            FORGET.write_text(PEAK_ONLY)
-    return peak_memory()
+def memory_taken(call: Callable[..., Any], *arguments: Any) -> int:
+    """Bytes by which a call raises the peak of a process that has done nothing else: no other test hides them.
+
+    Args:
+        call: of a module that the other process can import, as are its arguments' types.
+        arguments: of the call.
+    """
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(_rise_of_peak, call, *arguments).result()
+
+
+def _rise_of_peak(call: Callable[..., Any], *arguments: Any) -> int:
+    before = peak_memory()
+    call(*arguments)
+    return peak_memory() - before
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
-from process_limits import peak_memory, renewed_peak_memory
+from process_limits import memory_taken
 from synthesis_samples import RADIUS, SIZE, distance_to_wall, hall_image, hall_view, posed, write_hall, ws_psnr
 
 PAIR = (posed((-0.5, -0.1, 0.4), 0.3), posed((0.4, 0.2, -0.3), 0.9))
@@ -246,9 +246,7 @@ def test_sixteen_thousand_columns(tmp_path: Path) -> None:
     """16384×8192 from panoramas of 1024×512: within the memory that the plan says."""
     images = write_hall(tmp_path, PAIR, (512, 1024))
     plan = plan_interpolation(job_of(tmp_path, images, size=(8192, 16384), codec="jpg", threads=None))
-    renewed_peak_memory()
-    run_interpolation(plan)
-    used = peak_memory()
+    used = memory_taken(run_interpolation, plan)
     print(f"planned {plan.memory / 2**30:.2f} GiB, used {used / 2**30:.2f} GiB")
     assert used < 1.25 * plan.memory
     middle = read_panorama(tmp_path / "out" / "000001.jpg").image[::16, ::16]
