@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 from torch.nn import functional
+from walk_samples import make_walks
 
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
@@ -32,6 +34,7 @@ from omnisyn_cli.training.fusion_scenes import (
 )
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
+from omnisyn_cli.training.walks import load_walk
 from omnisyn_cli.types import Layer
 
 TINY = FusionConfig("tiny", channels=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)
@@ -130,16 +133,36 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
 
 
 def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
-    size = (64, 128)
-    path = make_fusion_scene(
-        tmp_path, 1, FusionSceneConfig(size=size, views_between=2, matched_share=1.0, rows=size[0])
-    )
-    samples = load_samples(path, FusionSample)
-    small, large = ([s for s in samples if s.channels.shape[1:] == each] for each in ((32, 64), size))
-    assert len(small) == len(large) == 2
+    size = (128, 256)
+    config = FusionSceneConfig(size=size, views_between=1, matched_share=1.0, rows=size[0])
+    samples = load_samples(make_fusion_scene(tmp_path, 1, config), FusionSample)
+    small, large = ([s for s in samples if s.channels.shape[1:] == each] for each in ((64, 128), size))
+    assert len(small) == len(large) == 1
     for sample in small:
-        assert sample.pictures.shape == (15, 128, 256)
+        assert sample.pictures.shape == (15, 256, 512)
         assert any(np.array_equal(one.truth, sample.truth) for one in large)
+
+
+def test_walks_are_shown_with_their_own_views_as_the_truth(tmp_path):
+    """The wall of a ball that both ends see: its views between are like the fusion, and are the walk's."""
+    positions = ((0, 0, 0), (0.1, 0, 0.2), (0.3, 0, 0.6), (0.4, 0, 0.8))
+    make_walks(tmp_path / "walks", 2, size=(128, 256), positions=positions)
+    walks = tuple(sorted((tmp_path / "walks").iterdir()))
+    config = FusionSceneConfig(size=SIZE, matched_share=1.0, rows=2 * SIZE[0], walks=walks)
+    samples = load_samples(make_fusion_scene(tmp_path, 3, config), FusionSample)
+    walk = load_walk(walks[1])
+    shares = sorted((float(s.channels[channel.PATH_POSITION].mean() + 1) / 2, k) for k, s in enumerate(samples))
+    assert [share for share, _ in shares] == pytest.approx([0.25, 0.75], abs=0.01)
+    for image, (_, k) in zip(walk.images[1:3], shares, strict=True):
+        seen = image.reshape(2 * SIZE[0], 2, 2 * SIZE[1], 2, 3).mean(axis=(1, 3)).transpose(2, 0, 1) / 255
+        np.testing.assert_allclose(samples[k].truth, seen, atol=2e-3)
+        assert np.abs(samples[k].pictures[:3] - seen).mean() < 0.01
+
+
+def test_walks_of_another_size_are_refused(tmp_path):
+    walks = tuple(make_walks(tmp_path / "walks", 1).iterdir())
+    with pytest.raises(InputError, match="expected pictures of 256×128, got 128×64"):
+        make_fusion_scene(tmp_path, 0, FusionSceneConfig(size=SIZE, walks=walks))
 
 
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):

@@ -121,14 +121,21 @@ def matched_scenes(height: int, **options: Any) -> None:
     type=click.Choice(list(PRESETS)),
     help="Preset whose depth and renderer are used.",
 )
+@click.option(
+    "--walks",
+    type=FOLDER,
+    help="Show these walks of a run of `train recipe`, of four times that many rows, instead of new scenes.",
+)
 @WORKERS
 @TEXTURES
-def fusion_pool(height: int, preset: str, **options: Any) -> None:
+def fusion_pool(height: int, preset: str, walks: Path | None, **options: Any) -> None:
     """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
+    from omnisyn_cli.training.data import list_scene_files
     from omnisyn_cli.training.fusion_scenes import FusionSceneConfig, make_fusion_scene
 
     _check_pool_height(height)
-    config = FusionSceneConfig(size=(height, 2 * height), preset=preset, rows=8 * height)
+    files = () if walks is None else tuple(list_scene_files(walks, "recipe"))
+    config = FusionSceneConfig(size=(height, 2 * height), preset=preset, rows=8 * height, walks=files)
     _fill(make_fusion_scene, config, **options)
 
 

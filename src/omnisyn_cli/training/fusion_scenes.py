@@ -12,13 +12,16 @@ each position ``k``:
 * ``fused_error_k``, the mean squared error of the geometric fusion.
 
 Photographs and renderings are made at twice that size again. Every position is stored for a network at the size
-of the pool and for one at half of it, since frames of several sizes are fused; their order is random. Some
-poses are a little wrong, as in life.
+of the pool and, from 128 rows on, for one at half of it, since frames of several sizes are fused; their order is
+random. Some poses are a little wrong, as in life.
+
+Instead of new scenes a pool may show walks that were made before, see :mod:`omnisyn_cli.training.walks`: their ends are
+the photographs, and their other views the truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +31,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion import warp_candidates as warp
 from omnisyn_cli.fusion.residual import ResidualFuser
@@ -45,12 +49,16 @@ from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stack_fields, window_columns
 from omnisyn_cli.training.line_scenes import TiltedConfig, noisy_pose, random_rotation, scene_path
+from omnisyn_cli.training.walks import Walk, load_walk
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
 __all__ = ["FusionSceneConfig", "make_fusion_scene"]
 
 RENDER_SCALE, PICTURE_SCALE = 4, 2
 """Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
+
+MIN_HALVED_ROWS = 128
+"""Rows of a pool from which it serves half of them too: of fewer than 64 rows, windows are too narrow for the network."""
 
 SWAPPED_CHANNELS = (
     (channel.FIRST_RGB, channel.SECOND_RGB, 3),
@@ -99,6 +107,7 @@ class FusionSceneConfig(TiltedConfig):
         matched_share: share of scenes whose depth comes from matching alone instead.
         known_share: share of scenes whose depth is the true one.
         rows: that depth is looked for at.
+        walks: files of walks to show, the seed's in turn; none makes scenes.
     """
 
     views_between: int = 3
@@ -107,7 +116,13 @@ class FusionSceneConfig(TiltedConfig):
     matched_share: float = 0.1
     known_share: float = 0.1
     rows: int = 1024
+    walks: tuple[Path, ...] = ()
     size: tuple[int, int] = (128, 256)
+
+    @property
+    def photograph_size(self) -> tuple[int, int]:
+        """Height and width of photographs and renderings."""
+        return RENDER_SCALE * self.size[0], RENDER_SCALE * self.size[1]
 
 
 @dataclass(frozen=True)
@@ -188,18 +203,64 @@ def downsample_channels_first(
 
 
 def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Path | None:
-    """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided."""
-    found = config.scene(seed, 2)
-    if found is None:
-        return None
+    """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided.
+
+    Raises:
+        InputError: its walk has pictures of another size.
+    """
     rng = np.random.default_rng([23, seed])
     run_config = replace(PRESETS[config.preset].config, depth=_depth_source(rng.random(), config))
-    samples = list(_samples(*found, run_config, rng, config))
+    shown = _of_walk(seed, rng, config) if config.walks else _of_scene(seed, rng, config)
+    samples = [] if shown is None else list(_samples(shown, run_config, config))
     if not samples:
         return None
     file = scene_path(folder, seed)
     save_samples(file, [samples[k] for k in rng.permutation(len(samples))])
     return file
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A pair of photographs, waypoints between them, and what is seen from each, by its index."""
+
+    ends: list[View]
+    path: list[Waypoint]
+    see: Callable[[int], Float32[np.ndarray, "height width 3"]]
+
+
+def _of_scene(seed: int, rng: np.random.Generator, config: FusionSceneConfig) -> _Shown | None:
+    """A generated scene."""
+    found = config.scene(seed, 2)
+    if found is None:
+        return None
+    scene, (first, second) = found
+    tilt, error, size = float(rng.choice(config.tilts)), config.pose_error(rng), config.photograph_size
+    ends = [_photograph(scene, end.position, tilt, error, size, rng) for end in (first, second)]
+    shares = np.sort(rng.uniform(*config.position_range, config.views_between))
+    path = [Waypoint(0, share, interpolate_pose(ends[0].pose, ends[1].pose, share)) for share in shares]
+    return _Shown(ends, path, lambda k: render_panorama(scene, path[k].pose, size, supersample=1, threads=1)[0])
+
+
+def _of_walk(seed: int, rng: np.random.Generator, config: FusionSceneConfig) -> _Shown:
+    """The ends of the seed's walk, and its views between them."""
+    file = config.walks[seed % len(config.walks)]
+    walk = load_walk(file)
+    if walk.images.shape[1:3] != config.photograph_size:
+        expected = "×".join(map(str, reversed(config.photograph_size)))
+        raise InputError(f"{file}: expected pictures of {expected}, got {walk.images.shape[2]}×{walk.images.shape[1]}")
+    last, error = len(walk.images) - 1, config.pose_error(rng)
+    ends = [_walk_photograph(walk, k, error, rng) for k in (0, last)]
+    offsets = (walk.positions - walk.positions[0]).astype(np.float64)
+    shares = offsets @ offsets[last] / (offsets[last] @ offsets[last])
+    path = [Waypoint(0, float(shares[k]), Pose(np.eye(3), offsets[k])) for k in range(1, last)]
+    return _Shown(ends, path, lambda k: walk.images[1 + k].astype(np.float32) / 255.0)
+
+
+def _walk_photograph(walk: Walk, k: int, error: float, rng: np.random.Generator) -> View:
+    """A view of a walk with the pose that it is said to have, and its true depth."""
+    known = DepthEstimate(walk.inverse_depth[k], np.ones(walk.inverse_depth[k].shape, np.float32))
+    pose = noisy_pose(Pose(np.eye(3), (walk.positions[k] - walk.positions[0]).astype(np.float64)), error, rng)
+    return View(walk.images[k].astype(np.float32) / 255.0, pose, known_depth=known)
 
 
 def _depth_source(draw: float, config: FusionSceneConfig) -> DepthSource:
@@ -216,23 +277,16 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
     return make_estimator(depth, device="cpu", threads=1)
 
 
-def _samples(
-    scene: Scene, ends: Sequence[Pose], run_config: RunConfig, rng: np.random.Generator, config: FusionSceneConfig
-) -> Iterator[FusionSample]:
-    size = (RENDER_SCALE * config.size[0], RENDER_SCALE * config.size[1])
-    tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
-    views = [_photograph(scene, end.position, tilt, error, size, rng) for end in ends]
-    stored_size = (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
-    fuser = _MultiSizeRecorder(size, (config.size[0], config.size[0] // 2), stored_size)
-    first, second = (view.pose for view in views)
-    positions = np.sort(rng.uniform(*config.position_range, config.views_between))
-    path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in positions]
+def _samples(shown: _Shown, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
+    size, stored_size = config.photograph_size, (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
+    rows = config.size[0]
+    fuser = _MultiSizeRecorder(size, (rows, rows // 2) if rows >= MIN_HALVED_ROWS else (rows,), stored_size)
     cut = Cut(run_config.cut, run_config.cut_metres)
     options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
-    for made in synthesize(views, path, SurfaceMethod(_estimator(run_config.depth), options, fuser)):
+    method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
+    for k, _ in enumerate(synthesize(shown.ends, shown.path, method)):
         if seen := fuser.seen():
-            scenery = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
-            truth = downsample_channels_first(scenery, stored_size)
+            truth = downsample_channels_first(shown.see(k), stored_size)
             for channels, pictures in seen:
                 yield FusionSample(channels, pictures, truth, _squared_error(pictures[:3], truth))
 
