@@ -58,7 +58,7 @@ RENDER_SCALE, PICTURE_SCALE = 4, 2
 """Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
 
 MIN_HALVED_ROWS = 128
-"""Rows of a pool from which it serves half of them too: of fewer than 64 rows, windows are too narrow for the network."""
+"""Rows from which a pool serves half of them too: of fewer than 64 rows, windows are too narrow for the network."""
 
 SWAPPED_CHANNELS = (
     (channel.FIRST_RGB, channel.SECOND_RGB, 3),
