@@ -22,7 +22,7 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.data import WINDOW_DIVISOR, load_samples, window_columns
+from omnisyn_cli.training.data import WINDOW_DIVISOR, load_samples, save_samples, window_columns
 from omnisyn_cli.training.fusion_losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
 from omnisyn_cli.training.fusion_scenes import (
     FusionSample,
@@ -163,6 +163,17 @@ def test_walks_of_another_size_are_refused(tmp_path):
     walks = tuple(make_walks(tmp_path / "walks", 1).iterdir())
     with pytest.raises(InputError, match="expected pictures of 256×128, got 128×64"):
         make_fusion_scene(tmp_path, 0, FusionSceneConfig(size=SIZE, walks=walks))
+
+
+def test_scenes_of_several_sizes_share_a_pool(pool, tmp_path):
+    """Steps are of one size each; a network of some rows is shown pictures of different ones."""
+    small = load_samples(pool[0], FusionSample)[0]
+    coarse = replace(small, pictures=small.pictures[:, ::2, ::2], truth=small.truth[:, ::2, ::2])
+    save_samples(tmp_path / "coarse.npz", [coarse])
+    rows = {
+        draw_fusion([*pool, tmp_path / "coarse.npz"], np.random.default_rng(k), 3).truth.shape[-2] for k in range(9)
+    }
+    assert rows == {SIZE[0], 2 * SIZE[0]}
 
 
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):

@@ -312,14 +312,15 @@ def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> Fusio
     """Windows of random places of random scenes, varied at random in ways that change nothing about the geometry.
 
     They are mirrored, lit and tinted otherwise, and the views change places. A window has all rows and a quarter of the
-    columns; it lies, across the seam or not, preferably where the views contradict each other. All are of one size,
-    that of the first that is drawn: a pool may hold scenes of several.
+    columns; it lies, across the seam or not, preferably where the views contradict each other. All have the sizes of
+    the first that is drawn: a pool may hold scenes of several.
     """
     drawn: list[FusionSample] = []
     while len(drawn) < batch:
         path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
         sample = load_samples(path, FusionSample, which, np.float16)[0]
-        if not drawn or sample.channels.shape[-2] == drawn[0].channels.shape[-2]:
+        rows = sample.channels.shape[-2], sample.truth.shape[-2]
+        if not drawn or rows == (drawn[0].channels.shape[-2], drawn[0].truth.shape[-2]):
             drawn.append(_augment(sample, rng))
     return FusionBatch(*stack_fields(drawn))
 
