@@ -41,7 +41,7 @@ SCALE: Mapping[str, Preset] = _by_name(
 
 REPRODUCTIONS: Mapping[str, Preset] = _by_name(
     Preset(
-        "paper", "for comparison; less accurate than a fade",
+        "paper", "for comparison; less accurate than fast",
         RunConfig(
             DepthSource("network", 256, "depth-paper-narrow"), renderer="two-pass", cut=None, cut_metres=2.0,
             fusion="painting",
