@@ -14,7 +14,7 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
 from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, LayerPairShader
 from omnisyn_cli.fusion.supersampling import EdgeSupersampler
-from omnisyn_cli.types import ColourStep, DirectionTables, Layer
+from omnisyn_cli.types import DirectionTables, Layer
 
 __all__ = ["TILE_ROWS", "Confidence", "GeometricFuser", "Picture"]
 
@@ -30,7 +30,6 @@ class GeometricFuser:
         options: of the blend rule.
         threads: at most this many; None is one per core.
         edges: whether edge pixels are supersampled (:mod:`omnisyn_cli.fusion.supersampling`) if the layers can be.
-        ghosts: whether things that moved come from one layer alone.
 
     Attributes:
         tiles: runs over the row tiles of both layers.
@@ -39,14 +38,13 @@ class GeometricFuser:
 
     def __init__(
         self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None, *,
-        edges: bool = True, ghosts: bool = True,
+        edges: bool = True,
     ) -> None:  # fmt: skip
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
         self.tiles, self.is_seen = LayerPairShader(size, threads), np.empty(size, np.uint8)
         self._tables = DirectionTables.of_target(size)
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
-        self._suppresses_ghosts = ghosts
         self._picture: np.ndarray | None = None
 
     def __call__(
@@ -57,14 +55,16 @@ class GeometricFuser:
         if self._ghosts.is_full_resolution:
             first, second = self.tiles.with_cached_colours(first, second)
         layers = self._with_confidence(first, second, confidence)
-        self.blend(layers.with_step(self._suppression(first, second, rule)), rule, out)
+        suppression = None if have_same_position(first, second) else self._ghosts(first, second, rule)
+        self.blend(layers.with_step(suppression), rule, out)
         return out
 
-    def dissolve(
-        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
-    ) -> Picture:
-        """As a call, but by the blend rule alone, as a dissolve: ghosts stay."""
-        out, rule = self._output_buffer(out), BlendRule.at(t, self.options, dissolves=True)
+    def blend_by_rule(
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None,
+        *, dissolves: bool = False,
+    ) -> Picture:  # fmt: skip
+        """As a call, but by the blend rule alone: ghosts stay. ``dissolves``: see :class:`BlendRule`."""
+        out, rule = self._output_buffer(out), BlendRule.at(t, self.options, dissolves=dissolves)
         self.blend(self._with_confidence(first, second, confidence), rule, out)
         return out
 
@@ -92,12 +92,6 @@ class GeometricFuser:
         self._filler.fill(out, self.is_seen)
         if self._supersampler is not None and layers.has_edge_samples:
             self._supersampler(layers, rule, out)
-
-    def _suppression(self, first: Layer, second: Layer, rule: BlendRule) -> ColourStep | None:
-        """The step that suppresses ghosts; None without ghosts."""
-        if not self._suppresses_ghosts or have_same_position(first, second):
-            return None
-        return self._ghosts(first, second, rule)
 
     def _with_confidence(self, first: Layer, second: Layer, confidence: Confidence | None) -> LayerPair:
         """Both layers, with the step that writes ``confidence`` if that is given."""

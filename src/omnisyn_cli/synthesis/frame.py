@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -102,8 +103,9 @@ def fuse_frame(
     with clock("fuse"):
         first, second = ExposureMatcher(pair.cross_check.curve)(seen[0], seen[1], waypoint.t)
         asked = {"out": None if samples is None else samples(), "confidence": confidence}
-        fuse = fuser.dissolve if pair.is_soft and isinstance(fuser, GeometricFuser) else fuser
-        image = fuse(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
+        if pair.is_soft and isinstance(fuser, GeometricFuser):
+            fuser = partial(fuser.blend_by_rule, dissolves=True)
+        image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
         if pair.cross_fade is not None and confidence is not None:
             pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
         if pair.masked_fade is not None:

@@ -55,7 +55,7 @@ def correction_of(plan: TourPlan, pair: PairSurfaces) -> UInt8[np.ndarray, "rows
         if not isinstance(method, SurfaceMethod):
             return None
         prepared = method.prepare(0, views).prepared
-        rules = GeometricFuser(size, threads=threads, edges=False, ghosts=False)
+        rules = GeometricFuser(size, threads=threads, edges=False).blend_by_rule
         by_rule, fused = (
             fuse_frame(prepared, waypoint, one, method.options, method.clock, None).frame.image.copy()
             for one in (rules, fuser)

@@ -151,7 +151,7 @@ class GpuPair:
         first: of the first view.
         second: of the second view, made for the same frames.
         curve: how much brighter the second picture is than the first.
-        dissolves: whether ghosts stay, see :meth:`omnisyn_cli.fusion.geometric.GeometricFuser.dissolve`.
+        dissolves: whether ghosts stay, see :meth:`omnisyn_cli.fusion.geometric.GeometricFuser.blend_by_rule`.
     """
 
     def __init__(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve, *, dissolves: bool = False) -> None:
