@@ -44,7 +44,7 @@ def test_torn_depth_becomes_one_smooth_surface_for_both_views_and_confirmed_dept
 ) -> None:
     true = KnownDepth()(*room)
     torn = with_noise(true[0], 1), with_noise(true[1], 2)
-    soft = soften_pair(room, torn, cross_check(room, torn, Cut()), Cut())
+    soft = soften_pair(room, torn, cross_check(room, torn, Cut()))
     low, high = slice(SIZE[0] * 5 // 8, SIZE[0] * 15 // 16), slice(SIZE[0] // 4, SIZE[0] * 3 // 8)
     for before, after, right in zip(torn, soft, true, strict=True):
         assert step_share(before, low) > 0.05
@@ -74,7 +74,7 @@ def in_a_box(pose: Pose) -> tuple[View, DepthEstimate]:
 def test_walls_that_nobody_confirms_stay_flat_in_spite_of_what_stands_before_them() -> None:
     boxes = in_a_box(posed((0.0, 0.0, 0.7))), in_a_box(posed((0.0, 0.0, -0.7)))
     views, depths = (boxes[0][0], boxes[1][0]), (boxes[0][1], boxes[1][1])
-    soft = soften_pair(views, depths, cross_check(views, depths, Cut()), Cut())
+    soft = soften_pair(views, depths, cross_check(views, depths, Cut()))
     for after in soft:
         rays = pixel_directions(*SIZE)
         floor = rays[..., 1] < -0.8

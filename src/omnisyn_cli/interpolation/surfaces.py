@@ -124,9 +124,8 @@ def pair_surfaces(
         depths: of both.
         check: what they say of each other.
     """
-    config, threads = plan.config, plan.job.threads
-    cut, softens = Cut(config.cut, config.cut_metres), config.fallback == "soft"
-    views, depths, cut, is_soft = drawn_surfaces(views, depths, check, cut, threads, softens=softens)
+    cut, softens = Cut(plan.config.cut, plan.config.cut_metres), plan.config.fallback == "soft"
+    views, depths, cut, is_soft = drawn_surfaces(views, depths, check, cut, softens=softens)
     first, second = (_meshed(plan.pairs[index][k], views[k], depths[k], cut) for k in (0, 1))
     return PairSurfaces(index, (first, second), check, is_soft)
 

@@ -34,7 +34,6 @@ __all__ = [
     "CROSS_CHECK_SIZE",
     "CrossCheck",
     "equalize_exposure",
-    "render_crosswise",
     "resized_to",
     "subsample_depth",
 ]
@@ -60,10 +59,12 @@ class CrossCheck:
     Attributes:
         curve: how much brighter the second picture is than the first.
         confidence: the expected quality of frames between them.
+        crossed: the photograph and the other view's surface at each panorama, small, at one exposure.
     """
 
     curve: ExposureCurve
     confidence: PairConfidence
+    crossed: tuple[tuple[Layer, Layer], tuple[Layer, Layer]]
 
 
 def equalize_exposure(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
@@ -79,7 +80,7 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
 
     options = MatchingOptions(size=EXPOSURE_DEPTH_SIZE, colour_weight=0.0, clipped_colour_weight=0.0)
     views = (first, second)
-    crossed, *_ = render_crosswise(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
+    crossed, *_ = _render_crosswise(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
     return darken_to_match(first, second, cross_validated_curve(_common_samples(crossed)), threads)
 
 
@@ -94,15 +95,15 @@ def cross_check(
         cut: where their surfaces are separated.
         threads: at most this many; None is one per core.
     """
-    crossed, small_views, renderers = render_crosswise(views, depths, cut, threads)
+    crossed, small_views, renderers = _render_crosswise(views, depths, cut, threads)
     curve = _exposure_curve(crossed)
     match_exposure = ExposureMatcher(curve)
-    at_first, at_second = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)
+    matched = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)[::-1]
     half_way = match_exposure(*_render_half_way(small_views, renderers), 0.5)
-    return CrossCheck(curve, assess_pair([at_first, at_second[::-1]], half_way))
+    return CrossCheck(curve, assess_pair(matched, half_way), matched)
 
 
-def render_crosswise(
+def _render_crosswise(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None
 ) -> tuple[list[tuple[Layer, Layer]], tuple[View, View], list[Renderer]]:
     """Each photograph beside the other view's surface rendered at its position; both views, small; their renderers."""

@@ -109,7 +109,7 @@ def prepare_pair(
     whole = chain.views[first_view], chain.views[second_view]
     with clock("mesh"):
         (first, second), drawn_depths, cut, is_soft = drawn_surfaces(
-            whole, depths, check, options.cut, options.threads, softens=options.soften
+            whole, depths, check, options.cut, softens=options.soften
         )
         options = replace(options, cut=cut)
     masked_fade = None
@@ -156,9 +156,8 @@ class DrawnSurfaces(NamedTuple):
 
 
 def drawn_surfaces(
-    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck, cut: Cut,
-    threads: int | None, *, softens: bool,
-) -> DrawnSurfaces:  # fmt: skip
+    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck, cut: Cut, *, softens: bool
+) -> DrawnSurfaces:
     """What surfaces are made of, given the depth that was found.
 
     Args:
@@ -166,12 +165,11 @@ def drawn_surfaces(
         depths: of both.
         check: what they say of each other.
         cut: where surfaces are cut that are not soft.
-        threads: at most this many; None is one per core.
         softens: whether surfaces that cannot be relied on become soft.
     """
     is_soft = softens and needs_soft_surface(views, depths, check)
     if is_soft:
-        depths, cut = soften_pair(views, depths, check, cut, threads), UNCUT
+        depths, cut = soften_pair(views, depths, check), UNCUT
     views, depths = continue_ground(views, depths)
     return DrawnSurfaces(views, depths, cut, is_soft)
 

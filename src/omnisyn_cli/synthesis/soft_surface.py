@@ -19,12 +19,11 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, compare_windows
-from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, direction_to_pixel, normalize, pixel_directions, solid_angles
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.synthesis.consistency import CrossCheck, render_crosswise, resized_to
+from omnisyn_cli.synthesis.consistency import CrossCheck, resized_to
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
 __all__ = ["UNCUT", "is_enclosed", "needs_soft_surface", "soften_pair"]
@@ -112,22 +111,15 @@ def needs_soft_surface(views: tuple[View, View], depths: Depths, check: CrossChe
     return is_doubtful and is_enclosed(views, depths)
 
 
-def soften_pair(
-    views: tuple[View, View], depths: Depths, check: CrossCheck, cut: Cut, threads: int | None = None
-) -> Depths:
+def soften_pair(views: tuple[View, View], depths: Depths, check: CrossCheck) -> Depths:
     """The depth of both views, on a common smooth surface where the photographs do not confirm it.
 
     Args:
         views: both, at different places.
         depths: of both.
-        check: of the pair.
-        cut: where their surfaces are separated.
-        threads: at most this many; None is one per core.
+        check: of the views with these depths.
     """
-    (at_first, at_second), *_ = render_crosswise(views, depths, cut, threads)
-    match_exposure = ExposureMatcher(check.curve)
-    pairs = match_exposure(*at_first, 0.0), match_exposure(*at_second[::-1], 1.0)[::-1]
-    reliability = [_reliability(depth, *pair) for depth, pair in zip(depths, pairs, strict=True)]
+    reliability = [_reliability(depth, *layers) for depth, layers in zip(depths, check.crossed, strict=True)]
     surface = _common_surface(views, depths, reliability)
     first, second = (
         _softened(depth, known, _inverse_depth_of(surface, view, _middle(views)))
