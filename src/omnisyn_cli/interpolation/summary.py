@@ -91,7 +91,7 @@ class TourSummary:
         plan: what was planned.
         seconds: wall time by stage; ``total`` is all of it.
         pairs: how far what is made of two panoramas can be relied on, by the index of the first.
-        left_out: share of the sphere that moves with the camera and was left out, by the index of the panorama.
+        left_out: share of the sphere that moves with the camera or is painted over, by the index of the panorama.
     """
 
     plan: TourPlan
@@ -139,7 +139,8 @@ class TourSummary:
         if self.left_out:
             shares = [f"{share:.1%} of {self.plan.job.images[k].name}" for k, share in sorted(self.left_out.items())]
             more = f" and {len(shares) - 2} more" if len(shares) > 2 else ""
-            yield f"left out, because it moves with the camera: {', '.join(shares[:2])}{more} (--nadir 0 keeps it)"
+            why = "because it moves with the camera or is painted over"
+            yield f"left out, {why}: {', '.join(shares[:2])}{more} (--nadir 0 keeps it)"
         if not self.pairs:
             return
         index = min(self.pairs, key=lambda each: self.pairs[each].score)

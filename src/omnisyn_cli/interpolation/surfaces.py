@@ -87,7 +87,7 @@ def tour_surfaces(
     Args:
         plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its config depth, cut and device matter.
         scores: is given how far each pair can be relied on, by the index of its first panorama.
-        left_out: is given what share of each panorama moves with the camera, by its index.
+        left_out: is given what share of each panorama moves with the camera or is painted over, by its index.
         read: decodes a panorama.
         estimator: finds depth in place of the config's.
         clock: collects seconds by stage.
