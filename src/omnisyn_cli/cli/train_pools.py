@@ -73,13 +73,21 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth files, to the pool FOLDER for `train depth`.
 
-    Existing pairs stay. Damaged scenes and pairs without depth are named and skipped.
+    DATASET may also be the walks of a run of `train recipe`. Existing pairs stay. Damaged scenes and pairs without
+    depth are named and skipped.
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
     from omnisyn_cli.evaluation.views import load_pair
-    from omnisyn_cli.training.line_scenes import add_pair, pair_path
+    from omnisyn_cli.training.line_scenes import add_views, pair_path
+    from omnisyn_cli.training.walks import list_walks, load_walk, walk_views
 
+    if walks := list_walks(dataset):
+        for walk in walks:
+            if not (path := folder / walk.name).exists():
+                add_views(path, walk_views(load_walk(walk)), (height, 2 * height))
+                say(path)
+        return
     choose = choose_pairs(pairs)
     for source in find_scenes(dataset, layout):
         try:
@@ -92,7 +100,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
             if path.exists():
                 continue
             try:
-                add_pair(path, *load_pair(pair).views, (height, 2 * height))
+                add_views(path, load_pair(pair).views, (height, 2 * height))
             except InputError as error:
                 say(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
             else:
@@ -130,12 +138,14 @@ def matched_scenes(height: int, **options: Any) -> None:
 @TEXTURES
 def fusion_pool(height: int, preset: str, walks: Path | None, **options: Any) -> None:
     """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
-    from omnisyn_cli.training.data import list_scene_files
     from omnisyn_cli.training.fusion_scenes import FusionSceneConfig, make_fusion_scene
+    from omnisyn_cli.training.walks import list_walks
 
     _check_pool_height(height)
-    files = () if walks is None else tuple(list_scene_files(walks, "recipe"))
-    config = FusionSceneConfig(size=(height, 2 * height), preset=preset, rows=8 * height, walks=files)
+    files = list_walks(walks) if walks else []
+    if walks and not files:
+        raise click.BadParameter(f"expected the walks of a run of `train recipe`, got {walks}", param_hint="--walks")
+    config = FusionSceneConfig(size=(height, 2 * height), preset=preset, rows=8 * height, walks=tuple(files))
     _fill(make_fusion_scene, config, **options)
 
 

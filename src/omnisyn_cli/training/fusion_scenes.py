@@ -49,7 +49,7 @@ from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stack_fields, window_columns
 from omnisyn_cli.training.line_scenes import TiltedConfig, noisy_pose, random_rotation, scene_path
-from omnisyn_cli.training.walks import Walk, load_walk
+from omnisyn_cli.training.walks import load_walk, walk_views
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
 __all__ = ["FusionSceneConfig", "make_fusion_scene"]
@@ -210,8 +210,8 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Pat
     """
     rng = np.random.default_rng([23, seed])
     run_config = replace(PRESETS[config.preset].config, depth=_depth_source(rng.random(), config))
-    shown = _of_walk(seed, rng, config) if config.walks else _of_scene(seed, rng, config)
-    samples = [] if shown is None else list(_samples(shown, run_config, config))
+    pair = _pair_of_walk(seed, rng, config) if config.walks else _pair_of_scene(seed, rng, config)
+    samples = [] if pair is None else list(_samples(pair, run_config, config))
     if not samples:
         return None
     file = scene_path(folder, seed)
@@ -220,15 +220,15 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Pat
 
 
 @dataclass(frozen=True)
-class _Shown:
-    """A pair of photographs, waypoints between them, and what is seen from each, by its index."""
+class _TruePair:
+    """A pair of photographs, waypoints between them, and the true picture from each, by its index."""
 
     ends: list[View]
     path: list[Waypoint]
-    see: Callable[[int], Float32[np.ndarray, "height width 3"]]
+    truth: Callable[[int], Float32[np.ndarray, "height width 3"]]
 
 
-def _of_scene(seed: int, rng: np.random.Generator, config: FusionSceneConfig) -> _Shown | None:
+def _pair_of_scene(seed: int, rng: np.random.Generator, config: FusionSceneConfig) -> _TruePair | None:
     """A generated scene."""
     found = config.scene(seed, 2)
     if found is None:
@@ -238,29 +238,21 @@ def _of_scene(seed: int, rng: np.random.Generator, config: FusionSceneConfig) ->
     ends = [_photograph(scene, end.position, tilt, error, size, rng) for end in (first, second)]
     shares = np.sort(rng.uniform(*config.position_range, config.views_between))
     path = [Waypoint(0, share, interpolate_pose(ends[0].pose, ends[1].pose, share)) for share in shares]
-    return _Shown(ends, path, lambda k: render_panorama(scene, path[k].pose, size, supersample=1, threads=1)[0])
+    return _TruePair(ends, path, lambda k: render_panorama(scene, path[k].pose, size, supersample=1, threads=1)[0])
 
 
-def _of_walk(seed: int, rng: np.random.Generator, config: FusionSceneConfig) -> _Shown:
+def _pair_of_walk(seed: int, rng: np.random.Generator, config: FusionSceneConfig) -> _TruePair:
     """The ends of the seed's walk, and its views between them."""
     file = config.walks[seed % len(config.walks)]
     walk = load_walk(file)
     if walk.images.shape[1:3] != config.photograph_size:
         expected = "×".join(map(str, reversed(config.photograph_size)))
         raise InputError(f"{file}: expected pictures of {expected}, got {walk.images.shape[2]}×{walk.images.shape[1]}")
-    last, error = len(walk.images) - 1, config.pose_error(rng)
-    ends = [_walk_photograph(walk, k, error, rng) for k in (0, last)]
-    offsets = (walk.positions - walk.positions[0]).astype(np.float64)
-    shares = offsets @ offsets[last] / (offsets[last] @ offsets[last])
-    path = [Waypoint(0, float(shares[k]), Pose(np.eye(3), offsets[k])) for k in range(1, last)]
-    return _Shown(ends, path, lambda k: walk.images[1 + k].astype(np.float32) / 255.0)
-
-
-def _walk_photograph(walk: Walk, k: int, error: float, rng: np.random.Generator) -> View:
-    """A view of a walk with the pose that it is said to have, and its true depth."""
-    known = DepthEstimate(walk.inverse_depth[k], np.ones(walk.inverse_depth[k].shape, np.float32))
-    pose = noisy_pose(Pose(np.eye(3), (walk.positions[k] - walk.positions[0]).astype(np.float64)), error, rng)
-    return View(walk.images[k].astype(np.float32) / 255.0, pose, known_depth=known)
+    views, error = walk_views(walk), config.pose_error(rng)
+    way = views[-1].pose.position
+    path = [Waypoint(0, float(view.pose.position @ way / (way @ way)), view.pose) for view in views[1:-1]]
+    ends = [replace(view, pose=noisy_pose(view.pose, error, rng)) for view in (views[0], views[-1])]
+    return _TruePair(ends, path, lambda k: views[1 + k].image)
 
 
 def _depth_source(draw: float, config: FusionSceneConfig) -> DepthSource:
@@ -277,16 +269,16 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
     return make_estimator(depth, device="cpu", threads=1)
 
 
-def _samples(shown: _Shown, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
+def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
     size, stored_size = config.photograph_size, (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
     rows = config.size[0]
     fuser = _MultiSizeRecorder(size, (rows, rows // 2) if rows >= MIN_HALVED_ROWS else (rows,), stored_size)
     cut = Cut(run_config.cut, run_config.cut_metres)
     options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
     method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
-    for k, _ in enumerate(synthesize(shown.ends, shown.path, method)):
+    for k, _ in enumerate(synthesize(pair.ends, pair.path, method)):
         if seen := fuser.seen():
-            truth = downsample_channels_first(shown.see(k), stored_size)
+            truth = downsample_channels_first(pair.truth(k), stored_size)
             for channels, pictures in seen:
                 yield FusionSample(channels, pictures, truth, _squared_error(pictures[:3], truth))
 

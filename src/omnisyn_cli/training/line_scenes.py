@@ -29,7 +29,7 @@ from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, rende
 from omnisyn_cli.training.data import TrainingScene, save_scene
 from omnisyn_cli.types import View
 
-__all__ = ["LineSceneConfig", "TiltedConfig", "add_pair", "make_scene_files", "pair_path", "render_line_scene"]
+__all__ = ["LineSceneConfig", "TiltedConfig", "add_views", "make_scene_files", "pair_path", "render_line_scene"]
 
 PATH_STOPS = 9
 """Positions along a path that views are drawn from; the ends are always taken."""
@@ -213,44 +213,45 @@ def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
     return folder / (re.sub(r"[^\w.-]+", "_", f"{scene}-{first}-{second}") + ".npz")
 
 
-def add_pair(path: Path, first: View, second: View, size: tuple[int, int]) -> None:
-    """Write a pair into a pool.
+def add_views(path: Path, views: Sequence[View], size: tuple[int, int]) -> None:
+    """Write a pair, or more views on one line, into a pool.
 
     Raises:
-        InputError: as :func:`scene_from_pair`.
+        InputError: as :func:`scene_from_views`.
         WriteError: the disk is full, or the folder cannot be made.
     """
-    scene = scene_from_pair(first, second, size)
+    scene = scene_from_views(views, size)
     with write_errors(path):
         save_scene(path, scene)
 
 
-def scene_from_pair(first: View, second: View, size: tuple[int, int]) -> TrainingScene:
-    """Both panoramas and their depth in the epipole frame of the pair.
+def scene_from_views(views: Sequence[View], size: tuple[int, int]) -> TrainingScene:
+    """Panoramas and their depth in the epipole frame of the first and the last.
 
     Args:
-        first: a panorama with known depth, at sizes of their own.
-        second: another.
+        views: two, or more on one straight line and in its order, with known depth and sizes of their own.
         size: height and width of the pool, 1:2.
 
-    Raises InputError: a panorama has no depth, or both are at one place.
+    Raises InputError: a panorama has no depth, or the ends are at one place.
     """
-    if first.known_depth is None or second.known_depth is None:
+    first, last = views[0].pose, views[-1].pose
+    if any(view.known_depth is None for view in views):
         raise InputError("expected true depth of both panoramas of a training pair, got none; leave the pair out")
-    if at_same_position(first.pose, second.pose):
+    if at_same_position(first, last):
         raise InputError("expected two panoramas from different places, got one place; leave the pair out")
-    frame, _, baseline = epipole_frame(first.pose, second.pose)
-    shown = [_rotate_view(view, frame, size) for view in (first, second)]
+    frame = epipole_frame(first, last)[0].rotation
+    shown = [_rotate_view(view, frame, size) for view in views]
     images, inverse_depths = (np.stack(column) for column in zip(*shown, strict=True))
-    return TrainingScene(images, inverse_depths, np.array([0.0, baseline], np.float32), frame.rotation.T @ UP)
+    along = [float(np.linalg.norm(view.pose.position - first.position)) for view in views]
+    return TrainingScene(images, inverse_depths, np.array(along, np.float32), frame.T @ UP)
 
 
 def _rotate_view(
-    view: View, frame: Pose, size: tuple[int, int]
+    view: View, frame: Float[np.ndarray, "3 3"], size: tuple[int, int]
 ) -> tuple[np.ndarray, Float[np.ndarray, "height width"]]:
     """Colours (uint8) and inverse depth of a panorama as a camera held like ``frame`` would have taken it."""
-    colours = rotated_image(view.image, view.pose.rotation, frame.rotation, size)
-    directions = rotated_directions(size, view.pose.rotation, frame.rotation)
+    colours = rotated_image(view.image, view.pose.rotation, frame, size)
+    directions = rotated_directions(size, view.pose.rotation, frame)
     return (colours * 255.0 + 0.5).astype(np.uint8), _known_inverse_depth(view, directions)
 
 

@@ -36,8 +36,9 @@ from omnisyn_cli.scenes.mesh import (
     render_mesh,
     varied_mesh,
 )
-from omnisyn_cli.training.data import save_arrays
+from omnisyn_cli.training.data import is_made_by, save_arrays
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
+from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = [
     "MESH",
@@ -45,11 +46,13 @@ __all__ = [
     "Walk",
     "WalkConfig",
     "baseline_ratios",
+    "list_walks",
     "load_walk",
     "make_walk",
     "matched_walk",
     "mesh_walk",
     "save_walk",
+    "walk_views",
 ]
 
 MESH = "mesh"
@@ -181,6 +184,25 @@ def load_walk(path: Path) -> Walk:
     with np.load(path) as file:
         inverse_depth, is_mesh = file["inverse_depth"].astype(np.float32), bool(file["is_mesh"])
         return Walk(file["images"], inverse_depth, file["positions"], is_mesh, file["pairs"], file["matching"])
+
+
+def list_walks(folder: Path) -> list[Path]:
+    """The files of a folder of walks, in order; none where it holds something else."""
+    paths = sorted(folder.glob("*.npz"))
+    return paths if paths and is_made_by("recipe", paths[0]) else []
+
+
+def walk_views(walk: Walk) -> list[View]:
+    """The panoramas of a walk with their true depth, the first at the origin."""
+    valid = np.ones(walk.inverse_depth.shape[1:], np.float32)
+    return [
+        View(
+            image.astype(np.float32) / np.float32(255.0),
+            Pose(np.eye(3), (position - walk.positions[0]).astype(np.float64)),
+            known_depth=DepthEstimate(inverse_depth.astype(np.float32), valid),
+        )
+        for image, position, inverse_depth in zip(walk.images, walk.positions, walk.inverse_depth, strict=True)
+    ]
 
 
 def make_walk(seed: int, config: WalkConfig) -> Walk:
