@@ -1,10 +1,12 @@
 """The rule stands in two places, for arrays and for one pixel: they are the same, for numpy as for torch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.geometry.pose import Pose
@@ -44,11 +46,11 @@ VIEWS = rendering(0), rendering(1)
 
 
 @pytest.mark.parametrize("t", [0.0, 0.002, 0.05, 0.5, 0.93, 1.0])
-@pytest.mark.parametrize("options", [BlendOptions(), BlendOptions(0.2, 0.3), BlendOptions(hidden_weight=1.0)], ids=str)
+@pytest.mark.parametrize("changes", [{}, {"disagreement": 0.2, "hidden_weight": 0.3}, {"hidden_weight": 1.0}], ids=str)
 @pytest.mark.parametrize("dissolves", [False, True])
-def test_the_kernel_is_the_rule(t: float, options: BlendOptions, dissolves: bool) -> None:
+def test_the_kernel_is_the_rule(t: float, changes: dict[str, float], dissolves: bool) -> None:
     """What is seen, to a tenth of a level; the exponential of the kernel is right to a ten-thousandth of itself."""
-    rule, views = BlendRule.at(t, options, dissolves=dissolves), [shown(view) for view in VIEWS]
+    rule, views = replace(BlendRule.at(t, dissolves=dissolves), **changes), [shown(view) for view in VIEWS]
     weights = view_weights(*views, DIRECTIONS, rule)
     expected, counts = blend_layers(*views, weights)
     fuser, found = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
@@ -64,7 +66,7 @@ def test_the_kernel_is_the_rule(t: float, options: BlendOptions, dissolves: bool
 
 @pytest.mark.parametrize("t", [0.0, 0.3, 1.0])
 def test_tensors_are_blended_as_arrays(t: float) -> None:
-    rule, views = BlendRule.at(t, BlendOptions()), [shown(view) for view in VIEWS]
+    rule, views = BlendRule.at(t), [shown(view) for view in VIEWS]
     expected = blend_layers(*views, view_weights(*views, DIRECTIONS, rule))
     tensors = [as_tensors(view) for view in views]
     found = blend_layers(*tensors, view_weights(*tensors, torch.from_numpy(DIRECTIONS), rule))
@@ -79,7 +81,7 @@ def test_gradients_are_finite_holes_infinity_and_equal_depths_included() -> None
     for view in views:
         view.colour.requires_grad_()
         view.inverse_depth.requires_grad_()
-    weights = view_weights(*views, torch.from_numpy(DIRECTIONS), BlendRule.at(0.4, BlendOptions()))
+    weights = view_weights(*views, torch.from_numpy(DIRECTIONS), BlendRule.at(0.4))
     sum(part.sum() for part in blend_layers(*views, weights)).backward()
     for view in views:
         assert torch.isfinite(view.colour.grad).all()
@@ -89,7 +91,7 @@ def test_gradients_are_finite_holes_infinity_and_equal_depths_included() -> None
 
 def test_hiding_sets_in_smoothly_and_symmetrically() -> None:
     t = np.linspace(0, 1, 201)
-    occlusion_strength = np.array([BlendRule.at(x, BlendOptions()).occlusion_strength for x in t])
+    occlusion_strength = np.array([BlendRule.at(x).occlusion_strength for x in t])
     np.testing.assert_allclose(occlusion_strength, occlusion_strength[::-1], atol=1e-12)
     assert occlusion_strength[0] == occlusion_strength[-1] == 0
     assert (occlusion_strength[20:181] == 1).all()
@@ -101,8 +103,7 @@ def test_hiding_sets_in_smoothly_and_symmetrically() -> None:
 def test_a_dissolve_shows_most_places_from_one_layer(t: float) -> None:
     views = [shown(view) for view in VIEWS]
     plain, quick = (
-        view_weights(*views, DIRECTIONS, BlendRule.at(t, BlendOptions(), dissolves=dissolves))
-        for dissolves in (False, True)
+        view_weights(*views, DIRECTIONS, BlendRule.at(t, dissolves=dissolves)) for dissolves in (False, True)
     )
     is_both = (plain[0] > 0) & (plain[1] > 0)
     before, after = (weights[0][is_both] / (weights[0] + weights[1])[is_both] for weights in (plain, quick))

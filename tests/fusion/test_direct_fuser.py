@@ -7,7 +7,7 @@ from test_residual_fuser import copy, geometric, pair
 
 from omnisyn_cli.baselines import direct_fuser
 from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, fusion_input_channels
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
@@ -41,7 +41,7 @@ def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     views, network = pair(size), RecordingNetwork()
     predict(views, network)
     first, second = downsampled_pair(LayerPair(*views), (64, 128), LayerPairShader(size, 1))
-    rule = BlendRule.at(0.5, BlendOptions())
+    rule = BlendRule.at(0.5)
     recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
     assert len(recorded) == INPUT_CHANNELS
     expected = network_inputs(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions
+from omnisyn_cli.fusion import blend_rule
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer
@@ -131,9 +131,10 @@ def test_nothing_pops_up_along_the_way() -> None:
     assert np.abs(np.diff(ends, axis=0)[[0, 1, 3, 4]]).max() < 0.005
 
 
-def test_a_hidden_surface_keeps_the_share_that_it_is_granted() -> None:
+def test_a_hidden_surface_keeps_the_share_that_it_is_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blend_rule, "HIDDEN_WEIGHT", 0.25)
     near, far = rendering(1, 0.5), rendering(2, 0.1)
-    fused = GeometricFuser(SIZE, BlendOptions(hidden_weight=0.25), threads=1)(near, far, 0.5)
+    fused = GeometricFuser(SIZE, threads=1)(near, far, 0.5)
     np.testing.assert_allclose(fused, 0.8 * near.colour[..., :3] + 0.2 * far.colour[..., :3], atol=1e-5)
 
 

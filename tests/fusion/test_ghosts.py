@@ -1,6 +1,7 @@
 """What moved is shown by one view alone, wholly; what stayed is blended as if nobody looked for ghosts."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -9,9 +10,10 @@ import pytest
 import torch
 from fusion_samples import asked
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion import ghosts
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, label_regions
+from omnisyn_cli.fusion.ghosts import GhostRemover, label_regions
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -51,13 +53,11 @@ def border(where: np.ndarray, reach: int) -> np.ndarray:
     return np.any(near, axis=0) & ~np.all(near, axis=0)
 
 
-def suppress(
-    first: Layer, second: Layer, t: float, blend: BlendOptions | None = None, ghosts: GhostOptions | None = None
-) -> None:
+def suppress(first: Layer, second: Layer, t: float, **changes: float) -> None:
     """Suppress ghosts in the colours of both, in two bands."""
     height = len(first.inverse_depth)
-    remover = GhostRemover(first.inverse_depth.shape, ghosts, threads=1)
-    step = remover(first, second, BlendRule.at(t, blend or BlendOptions()))
+    remover = GhostRemover(first.inverse_depth.shape, threads=1)
+    step = remover(first, second, replace(BlendRule.at(t), **changes))
     for rows in (slice(0, height // 3), slice(height // 3, height)):
         if step is not None:
             step(first.colour[rows], second.colour[rows], rows.start)
@@ -93,7 +93,7 @@ def test_the_view_that_wins_is_the_one_that_the_blend_prefers(disagreement: floa
     where, background = ball(200), wall()
     near = rendering(with_ball(background, where), np.where(where, 0.6, 0.3), z=-1e-3)
     far = rendering(background, z=1e-3)
-    suppress(near, far, 0.8, BlendOptions(disagreement=disagreement))
+    suppress(near, far, 0.8, disagreement=disagreement)
     inner = where & ~border(where, 8)
     assert ((near, far)[winner].colour[inner, 3] == 1.0).all()
     assert ((near, far)[1 - winner].colour[inner, 3] < 0.03).all()
@@ -233,13 +233,14 @@ def test_regions_are_those_of_opencv_joined_across_the_seam(as_array: Callable[[
 
 
 @pytest.mark.parametrize("size", [(2, 4), (16, 32), (50, 100), (130, 260), (300, 600)])
-def test_any_size_works(size: tuple[int, int]) -> None:
+def test_any_size_works(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ghosts, "MIN_GHOST_DIFFERENCE", 0.01)
     rng = np.random.default_rng(1)
     colour = [np.ones((*size, 4), np.float32) for _ in range(2)]
     for c in colour:
         c[..., :3] = rng.random((*size, 3))
     views = [Layer.from_arrays(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
-    suppress(views[0], views[1], 0.5, ghosts=GhostOptions(min_difference=0.01))
+    suppress(views[0], views[1], 0.5)
     assert all(np.isfinite(c).all() and (c >= 0).all() for c in colour)
 
 

@@ -48,7 +48,7 @@ def correct(planes: np.ndarray) -> np.ndarray:
 
 FUSERS = {
     "geometric": GeometricFuser,
-    "network": lambda size, threads: ResidualFuser(size, correct, 128, None, threads),
+    "network": lambda size, threads: ResidualFuser(size, correct, 128, threads),
 }
 
 

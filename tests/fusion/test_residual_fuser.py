@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omnisyn_cli.fusion import input_channels as channel
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.input_builder import InputBuilder
@@ -60,9 +60,9 @@ class Answers:
         return np.broadcast_to(np.float32(self.shares), (4, *planes.shape[1:])).copy()
 
 
-def fuse(views, t, network, threads=1, rows=ROWS, options=None):
+def fuse(views, t, network, threads=1, rows=ROWS):
     size = views[0].inverse_depth.shape
-    return ResidualFuser(size, network, rows, options, threads)(*map(copy, views), t).copy()
+    return ResidualFuser(size, network, rows, threads)(*map(copy, views), t).copy()
 
 
 def geometric(views, t):
@@ -172,7 +172,7 @@ def test_the_planes_are_what_they_are_said_to_be():
     """Written out in NumPy from the definitions, at the size of the renderings."""
     (first, second), t, size = pair((ROWS, 2 * ROWS)), 0.3, (ROWS, 2 * ROWS)
     finer = [enlarged(view) for view in (first, second)]
-    rule, source_samplers = BlendRule.at(t, BlendOptions()), (first.source_sampler, second.source_sampler)
+    rule, source_samplers = BlendRule.at(t), (first.source_sampler, second.source_sampler)
     planes, _ = InputBuilder(size, LayerPairShader(SIZE, 1))(LayerPair(*finer), rule, source_samplers)
     a, b = seen((first, second))
     assert planes.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *size)

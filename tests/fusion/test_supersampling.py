@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ball_samples import CENTRE, hits, inverse_depth
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostSuppression
 from omnisyn_cli.fusion.layer_pair import LayerPair
@@ -112,7 +112,7 @@ def test_at_the_ends_photographs_are_shown_as_they_are(t: float) -> None:
 def test_samples_set_in_with_the_rule() -> None:
     """Half way between none and all of them, half of the change."""
     t = 0.05
-    occlusion_strength = BlendRule.at(t, BlendOptions()).occlusion_strength
+    occlusion_strength = BlendRule.at(t).occlusion_strength
     without, there = fused(VIEWS, SIZE, t, edges=False), edge_pixels(fused(VIEWS, SIZE, t, edges=False))
     every = halved(fused(FINE_VIEWS, DOUBLE, t, edges=False))
     expected = without + occlusion_strength * (every - without)
@@ -130,7 +130,7 @@ def test_nothing_is_sampled_in_place_or_without_samples() -> None:
 def test_what_is_suppressed_is_suppressed_in_samples() -> None:
     """With the first view suppressed everywhere it is as if it saw nothing that the second sees."""
     views = LayerPair(*VIEWS)
-    rule, cells = BlendRule.at(0.5, BlendOptions()), np.full((8, 16), -1.0, np.float32)
+    rule, cells = BlendRule.at(0.5), np.full((8, 16), -1.0, np.float32)
     fuser, out = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
     fuser.blend(views.with_step(GhostSuppression(cells, 8)), rule, out)
     fine = GeometricFuser(DOUBLE, threads=1, edges=False)

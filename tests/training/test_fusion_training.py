@@ -9,7 +9,7 @@ from walk_samples import make_walks
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.fusion import input_channels as channel
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
@@ -103,10 +103,10 @@ def test_the_network_knows_where_the_weights_are():
 
 def test_exchanging_the_views_exchanges_the_planes():
     first, second = rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))
-    make, options = InputBuilder(SIZE, LayerPairShader(first.inverse_depth.shape, 1)), BlendOptions()
+    make = InputBuilder(SIZE, LayerPairShader(first.inverse_depth.shape, 1))
     source_samplers = first.source_sampler, second.source_sampler
-    there = make(LayerPair(first, second), BlendRule.at(0.3, options), source_samplers)[0]
-    back = make(LayerPair(second, first), BlendRule.at(0.7, options), source_samplers[::-1])[0]
+    there = make(LayerPair(first, second), BlendRule.at(0.3), source_samplers)[0]
+    back = make(LayerPair(second, first), BlendRule.at(0.7), source_samplers[::-1])[0]
     np.testing.assert_allclose(swap_views(there), back, atol=1e-4)
     np.testing.assert_array_equal(swap_views(swap_views(there)), there)
 

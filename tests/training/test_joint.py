@@ -11,7 +11,7 @@ from training_samples import TINY, ball_scene, make_pool
 from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
@@ -73,7 +73,7 @@ def as_seen(view):
 def test_planes_are_those_of_the_program(t):
     """Of tensors as of arrays, weights, confidence, filled holes and all."""
     first, second = random_view(1, (0.0, 0.0, t)), random_view(2, (0.0, 0.0, t - 1.0))
-    rule = BlendRule.at(t, BlendOptions())
+    rule = BlendRule.at(t)
     own, other = downsampled_pair(LayerPair(first, second), SIZE, LayerPairShader(SIZE, 1))
 
     def fill(image, weight):

@@ -13,7 +13,7 @@ import pytest
 import omnisyn_cli as om
 from interpolation_samples import tour_job
 from omnisyn_cli.evaluation.scene_files import write_scene
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sampling import sample_bilinear
@@ -159,7 +159,7 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
     colours, depths = WalkPage(shot.opened, file).wait().capture(eye.rotation, eye.position, fov, size)
     rays = pinhole_rays(size, fov)
     first, second = (shown(painted, view, eye, rays, depths[view]) for view in (0, 1))
-    picture, weight = blend_layers(first, second, view_weights(first, second, rays, BlendRule.at(t, BlendOptions())))
+    picture, weight = blend_layers(first, second, view_weights(first, second, rays, BlendRule.at(t)))
     expected = np.ascontiguousarray(picture, np.float32)
     HoleFiller(size)(expected, np.ascontiguousarray(weight, np.float32))
     inner = ~silhouettes(depths)

@@ -30,27 +30,26 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
-__all__ = ["FAR_WEIGHT_OFFSET", "BlendOptions", "BlendRule", "LayerArrays", "blend_layers", "view_weights"]
+__all__ = [
+    "FAR_WEIGHT_OFFSET",
+    "HIDDEN_WEIGHT",
+    "RAMP_SHARE",
+    "BlendRule",
+    "LayerArrays",
+    "blend_layers",
+    "view_weights",
+]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FAR_WEIGHT_OFFSET = 0.01
 """1/metre added to inverse depths before hole filling compares them: 100 m are as good as infinity. Set by hand."""
 
+HIDDEN_WEIGHT = 0.003
+"""Least share of its weight that a hidden surface keeps. Set by hand."""
 
-@dataclass(frozen=True)
-class BlendOptions:
-    """What decides between two layers that see different surfaces. All were set by hand.
-
-    Attributes:
-        disagreement: relative difference of inverse depth at which a hidden surface is down to 1/e of its weight.
-        hidden_weight: the least share of its weight that a hidden surface keeps.
-        ramp_share: of the way at either end, over which visibility sets in, so that nothing pops up next to an end.
-    """
-
-    disagreement: float = OCCLUSION_SCALE
-    hidden_weight: float = 0.003
-    ramp_share: float = 0.1
+RAMP_SHARE = 0.1
+"""Of the way at either end, over which visibility sets in, so that nothing pops up there. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class BlendRule:
 
     Attributes:
         t: share of the way.
-        disagreement: see :class:`BlendOptions`.
+        disagreement: relative difference of inverse depth at which a hidden surface is down to 1/e of its weight.
         hidden_weight: the least share of its weight that a hidden surface keeps here: all of it at both ends.
         occlusion_strength: how strictly the nearer surface wins: 0 at both ends of the way, 1 in between.
         dissolves: whether most places show one layer alone.
@@ -72,12 +71,11 @@ class BlendRule:
     dissolves: bool = False
 
     @staticmethod
-    def at(t: float, options: BlendOptions, *, dissolves: bool = False) -> BlendRule:
+    def at(t: float, *, dissolves: bool = False) -> BlendRule:
         """At a share ``t`` of the way; visibility sets in by a smooth step from either end."""
-        x = min(1.0, min(t, 1.0 - t) / options.ramp_share)
+        x = min(1.0, min(t, 1.0 - t) / RAMP_SHARE)
         occlusion_strength = x * x * (3.0 - 2.0 * x)
-        hidden_weight = options.hidden_weight**occlusion_strength
-        return BlendRule(t, options.disagreement, hidden_weight, occlusion_strength, dissolves)
+        return BlendRule(t, OCCLUSION_SCALE, HIDDEN_WEIGHT**occlusion_strength, occlusion_strength, dissolves)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.fusion.blend_kernels import LayerRows, blend_rows, kernel_rule, quantization_for, source_offset
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.confidence import confidence_step
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
@@ -27,7 +27,6 @@ class GeometricFuser:
 
     Args:
         size: height and width of the frames.
-        options: of the blend rule.
         threads: at most this many; None is one per core.
         edges: whether edge pixels are supersampled (:mod:`omnisyn_cli.fusion.supersampling`) if the layers can be.
 
@@ -36,11 +35,8 @@ class GeometricFuser:
         is_seen: of the last frame: 0 in holes, else 1.
     """
 
-    def __init__(
-        self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None, *,
-        edges: bool = True,
-    ) -> None:  # fmt: skip
-        self.size, self.options, self.threads = size, options or BlendOptions(), threads
+    def __init__(self, size: tuple[int, int], threads: int | None = None, *, edges: bool = True) -> None:
+        self.size, self.threads = size, threads
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
         self.tiles, self.is_seen = LayerPairShader(size, threads), np.empty(size, np.uint8)
         self._tables = DirectionTables.of_target(size)
@@ -51,7 +47,7 @@ class GeometricFuser:
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
         """The fused picture, without holes, never negative; see :class:`omnisyn_cli.types.Fuser`."""
-        out, rule = self._output_buffer(out), BlendRule.at(t, self.options)
+        out, rule = self._output_buffer(out), BlendRule.at(t)
         if self._ghosts.is_full_resolution:
             first, second = self.tiles.with_cached_colours(first, second)
         layers = self._with_confidence(first, second, confidence)
@@ -64,7 +60,7 @@ class GeometricFuser:
         *, dissolves: bool = False,
     ) -> Picture:  # fmt: skip
         """As a call, but by the blend rule alone: ghosts stay. ``dissolves``: see :class:`BlendRule`."""
-        out, rule = self._output_buffer(out), BlendRule.at(t, self.options, dissolves=dissolves)
+        out, rule = self._output_buffer(out), BlendRule.at(t, dissolves=dissolves)
         self.blend(self._with_confidence(first, second, confidence), rule, out)
         return out
 

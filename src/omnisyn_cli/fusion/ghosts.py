@@ -62,20 +62,17 @@ VOTE_STEPS = 2.0**20
 """Parts of 1 in which votes are rounded: sums of whole numbers do not depend on their order."""
 
 
-@dataclass(frozen=True)
-class GhostOptions:
-    """When two colours of one place are different things. All were set by hand.
+MIN_GHOST_DIFFERENCE = 0.12
+"""Least difference of the mean colours of two things in any channel, sRGB values. Set by hand."""
 
-    Attributes:
-        min_difference: least difference of the mean colours in any channel, sRGB values.
-        min_colour_outside_range: how far one colour has to lie outside of the range of the other layer in nearby
-            cells. A thing that is merely displaced by wrong depth lies inside.
-        illumination_radius: radius in cells over which a common difference counts as light, not as a thing.
-    """
+MIN_OUTSIDE_RANGE = 0.08
+"""sRGB values that one colour has to lie outside of the range of the other layer in nearby cells. Set by hand.
 
-    min_difference: float = 0.12
-    min_colour_outside_range: float = 0.08
-    illumination_radius: int = 12
+A thing that is merely displaced by wrong depth lies inside.
+"""
+
+ILLUMINATION_RADIUS = 12
+"""Cells over which a common difference counts as light, not as a thing. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,6 @@ class GhostRemover:
 
     Args:
         size: height and width of the layers.
-        options: what a ghost is.
         threads: at most this many; None is one per core.
 
     Attributes:
@@ -113,8 +109,8 @@ class GhostRemover:
         samples_per_side: pixels that it reads along the side of a cell.
     """
 
-    def __init__(self, size: tuple[int, int], options: GhostOptions | None = None, threads: int | None = None) -> None:
-        self.size, self.threads, self.options = size, threads, options or GhostOptions()
+    def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
+        self.size, self.threads = size, threads
         self.cell_size, step = ghost_cell_size(size), ghost_sample_step(size)
         self.is_full_resolution = step == 1
         self.samples_per_side = -(-self.cell_size // step)
@@ -159,7 +155,7 @@ class GhostRemover:
     @property
     def _light_radius(self) -> int:
         """Of the box filter that estimates the common difference; it has to fit into the grid."""
-        return min(self.options.illumination_radius, *(count // 2 - 1 for count in self._grid))
+        return min(ILLUMINATION_RADIUS, *(count // 2 - 1 for count in self._grid))
 
     def _cell_means(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
         """Statistics of each cell.
@@ -210,14 +206,14 @@ class GhostRemover:
         weighted = xp.concat([difference * count[..., None], count[..., None]], axis=-1)
         means = box_filter(weighted, self._light_radius, mirror_poles=True)
         relit = second.colour + means[..., :3] / xp.clip(means[..., 3:], min=1e-6)
-        threshold, seen = self.options.min_difference, count > 0.0
+        threshold, seen = MIN_GHOST_DIFFERENCE, count > 0.0
         # The plain test as well: beside a large moving thing, relighting alone makes unchanged cells differ.
         differs = seen & (_channel_max(xp.abs(difference)) > threshold)
         differs &= _channel_max(xp.abs(first.colour - relit)) > threshold
         outside = xp.maximum(
             _colour_range_excess(first.colour, relit, seen), _colour_range_excess(relit, first.colour, seen)
         )
-        differs &= outside > self.options.min_colour_outside_range
+        differs &= outside > MIN_OUTSIDE_RANGE
         # Opening: erosion by 1 cell drops thin structures. Dilation by 2 gives back that cell, and one cell of margin.
         rest = dilate(xp.astype(~differs, xp.int32), 1)
         return dilate(1 - rest, 2) > 0

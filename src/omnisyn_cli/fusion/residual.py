@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import GhostSuppression, have_same_position
 from omnisyn_cli.fusion.input_builder import InputBuilder
@@ -70,22 +70,15 @@ class ResidualFuser(GeometricFuser):
         size: height and width of the frames; below twice :data:`SIZE_MULTIPLE` rows the fusion is geometric.
         network: the network.
         rows: of its input, at most; it was trained on 128.
-        options: of the geometric fusion.
         threads: at most this many; None is one per core.
         edges: see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
     """
 
     def __init__(
-        self,
-        size: tuple[int, int],
-        network: ResidualFusionNetwork,
-        rows: int,
-        options: BlendOptions | None = None,
-        threads: int | None = None,
-        *,
+        self, size: tuple[int, int], network: ResidualFusionNetwork, rows: int, threads: int | None = None, *,
         edges: bool = True,
-    ) -> None:
-        super().__init__(size, options, threads, edges=edges)
+    ) -> None:  # fmt: skip
+        super().__init__(size, threads, edges=edges)
         self._network = network
         small = network_size(size, rows)
         tiles = LayerPairShader(self._ghosts.downsampled_size, threads)
@@ -99,7 +92,7 @@ class ResidualFuser(GeometricFuser):
         Raises:
             InputError: the network does not take the channels, or answers something else.
         """
-        rule = BlendRule.at(t, self.options)
+        rule = BlendRule.at(t)
         if (
             self._inputs is None
             or rule.occlusion_strength < MIN_CORRECTION_STRENGTH

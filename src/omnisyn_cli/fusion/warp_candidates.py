@@ -27,7 +27,7 @@ from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import Quantization, quantization_for
-from omnisyn_cli.fusion.blend_rule import BlendOptions, LayerArrays
+from omnisyn_cli.fusion.blend_rule import LayerArrays
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, MAX_GAP, sqrt_inverse_depth
 from omnisyn_cli.fusion.layer_pair import TILE_ROWS
 from omnisyn_cli.fusion.warp_candidate_kernels import (
@@ -38,6 +38,7 @@ from omnisyn_cli.fusion.warp_candidate_kernels import (
     mix_rows,
 )
 from omnisyn_cli.fusion.window_filters import dilate
+from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import SourceSampler
 
 __all__ = ["CANDIDATE_CHANNELS", "CANDIDATE_RGB", "HYPOTHESIS_DEPTHS", "WarpCandidates"]
@@ -57,7 +58,7 @@ HYPOTHESIS_WINDOW_RADIUS = 4
 MIN_SCALED_INVERSE_DEPTH = 1e-3
 """Inverse depth × baseline that occlusion is relative to at least: parallax below 0.06° says nothing."""
 
-MAX_OCCLUSION = BlendOptions().disagreement * MAX_GAP
+MAX_OCCLUSION = OCCLUSION_SCALE * MAX_GAP
 """Relative difference of inverse depth at which the occlusion channels saturate, as ``DEPTH_GAP`` does."""
 
 MIN_CANDIDATE_WEIGHT = np.float32(0.02)

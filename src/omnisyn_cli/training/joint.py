@@ -24,7 +24,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from omnisyn_cli.fusion import input_channels as channel
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
 from omnisyn_cli.geometry.pose import Pose
@@ -174,7 +174,7 @@ def channels_between(
     channels = []
     for k, t in enumerate(position.tolist()):
         first, second = (render_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i) for i in range(2))
-        channels.append(fusion_input_channels(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
+        channels.append(fusion_input_channels(first, second, BlendRule.at(t), 1.0, filled))
     return torch.stack(channels)
 
 

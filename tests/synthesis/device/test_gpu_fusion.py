@@ -5,7 +5,7 @@ import pytest
 import torch
 from gpu_samples import BRIGHTER
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover
 from omnisyn_cli.fusion.layer_pair import LayerPair
@@ -94,7 +94,7 @@ def test_suppressing_ghosts(size: tuple[int, int], t: float) -> None:
         rho = np.where(where, np.float32(0.4), np.float32(0.3)) * ~ball(size, 1, 5, 0.05)
         pose = Pose(np.eye(3), OFFSETS[end] * 0.02)
         shown.append(Layer.from_arrays(rho.astype(np.float32), np.dstack([colour, weight]).astype(np.float32), pose))
-    rule = BlendRule.at(t, BlendOptions())
+    rule = BlendRule.at(t)
     there, here = LayerPair(*map(on_device, shown)), LayerPair(*shown)
     there = there.with_step(GhostRemover(size)(there.first, there.second, rule))
     here = here.with_step(GhostRemover(size, threads=1)(*shown, rule))

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
+from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
-from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
+from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE, SAME_POINT_TOLERANCE
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
@@ -52,9 +52,9 @@ STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 RULES: Mapping[str, float] = {
     "MIN_VISIBLE_WEIGHT": float(MIN_VISIBLE_WEIGHT),
     "DEPTH_CONFIDENCE_GAIN": DEPTH_CONFIDENCE_GAIN,
-    "DISAGREEMENT": BlendOptions.disagreement,
-    "HIDDEN": BlendOptions.hidden_weight,
-    "ENDS": BlendOptions.ramp_share,
+    "DISAGREEMENT": OCCLUSION_SCALE,
+    "HIDDEN": HIDDEN_WEIGHT,
+    "ENDS": RAMP_SHARE,
     "FAR_WEIGHT_OFFSET": FAR_WEIGHT_OFFSET,
     "MIP_BIAS": float(MIP_BIAS),
     "MAX_FULL_RESOLUTION_LEVEL": float(MAX_FULL_RESOLUTION_LEVEL),

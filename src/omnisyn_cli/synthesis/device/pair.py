@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Bool, Float32, Integer, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
@@ -52,7 +52,7 @@ class GpuFrames:
     """
 
     def __init__(self, size: tuple[int, int], device: str = "cuda") -> None:
-        self.size, self.device, self.options = size, open_device(device), BlendOptions()
+        self.size, self.device = size, open_device(device)
         self.rasterizer, self.ghosts = GpuRasterizer(size, self.device), GhostRemover(size)
         self._tables = [torch.from_numpy(table).to(self.device, torch.float32) for table in direction_tables(*size)]
 
@@ -188,7 +188,7 @@ class GpuPair:
         seen = [surface.seen_from(pose) for surface, pose in zip(self.surfaces, poses, strict=True)]
         self._nearest = torch.maximum(*(view.inverse_depth.max() for view in seen))
         first, second = self._expose(seen[0], seen[1], t)
-        image = self._fused(first, second, BlendRule.at(t, self._frames.options, dissolves=self._dissolves))
+        image = self._fused(first, second, BlendRule.at(t, dissolves=self._dissolves))
         torch.from_numpy(out).copy_(samples_of(image) if out.dtype == np.uint8 else image)
 
     def _fused(self, first: Layer, second: Layer, rule: BlendRule) -> Float32[Tensor, "height width 3"]:
