@@ -98,7 +98,7 @@ def test_all_that_may_be_written_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(clock.direction_from(door.pose), [0, 0.5**0.5, -(0.5**0.5)], atol=1e-12)
     assert clock.image == tmp_path / "clock.jpg"
     assert tour.plan is not None
-    np.testing.assert_allclose(tour.plan.pixel_of(np.array([2.0, 5.0, 1.0])), [0, 30], atol=1e-9)
+    np.testing.assert_allclose(tour.plan.position_of(0.0, 30.0), [2, 1], atol=1e-9)
 
 
 def test_the_pose_file_may_say_it_too_and_is_written_with_it(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ def test_speckles_go_and_surfaces_stay_also_across_the_seam() -> None:
     values, known = np.full(SMALL, 0.5), np.ones(SMALL, bool)
     values[20:22, 20:22] = 2.0
     values[30:34, :4] = values[30:34, -4:] = 2.0
-    kept = remove_speckles(values, known, 20, 0.1)
+    kept = remove_speckles(values, known)
     assert not kept[20:22, 20:22].any()
     assert kept[30:34, :4].all()
     assert kept.sum() == known.sum() - 4

@@ -53,9 +53,22 @@ def classify_pixels(first: Layer, second: Layer) -> PixelClasses:
 
 
 def silhouette_mask(first: Layer, second: Layer) -> Bool[Array, "height width"]:
-    """Pixels at most :data:`SILHOUETTE_PIXELS` from a discontinuity of the nearer surface; arguments as above."""
+    """Pixels at most :data:`SILHOUETTE_PIXELS` from a discontinuity of the nearer surface; arguments as above.
+
+    The window around a discontinuity is a square; columns wrap, rows end.
+    """
     rho_a, rho_b = _seen_depth(first)[1], _seen_depth(second)[1]
-    return near_depth_edges(array_namespace(rho_a).maximum(rho_a, rho_b), SILHOUETTE_PIXELS)
+    xp = array_namespace(rho_a)
+    nearer = xp.maximum(rho_a, rho_b)
+    across = is_other_surface(nearer, xp.roll(nearer, -1, axis=1))
+    across = across | xp.roll(across, 1, axis=1)
+    down = is_other_surface(nearer[:-1], nearer[1:])
+    no_row = xp.zeros_like(across[:1])
+    found = across | xp.concat([down, no_row]) | xp.concat([no_row, down])
+    for _ in range(SILHOUETTE_PIXELS):
+        found = found | xp.roll(found, 1, axis=1) | xp.roll(found, -1, axis=1)
+        found = found | xp.concat([found[1:], no_row]) | xp.concat([no_row, found[:-1]])
+    return found
 
 
 def _seen_depth(layer: Layer) -> tuple[Bool[Array, "height width"], Float[Array, "height width"]]:
@@ -68,22 +81,3 @@ def is_other_surface(one: Float[Array, "*pixels"], other: Float[Array, "*pixels"
     """Whether inverse depths, 1/metre and >= 0, are those of different surfaces."""
     xp = array_namespace(one)
     return xp.abs(one - other) > SAME_SURFACE_TOLERANCE * xp.clip(xp.maximum(one, other), min=MIN_INVERSE_DEPTH)
-
-
-def near_depth_edges(inverse_depth: Float[Array, "height width"], radius: int) -> Bool[Array, "height width"]:
-    """Pixels within a square window around a depth discontinuity; columns wrap, rows end.
-
-    Args:
-        inverse_depth: 1/metre, >= 0.
-        radius: of the window; 0 for the two pixels on both sides of a discontinuity alone.
-    """
-    xp = array_namespace(inverse_depth)
-    across = is_other_surface(inverse_depth, xp.roll(inverse_depth, -1, axis=1))
-    across = across | xp.roll(across, 1, axis=1)
-    down = is_other_surface(inverse_depth[:-1], inverse_depth[1:])
-    no_row = xp.zeros_like(across[:1])
-    found = across | xp.concat([down, no_row]) | xp.concat([no_row, down])
-    for _ in range(radius):
-        found = found | xp.roll(found, 1, axis=1) | xp.roll(found, -1, axis=1)
-        found = found | xp.concat([found[1:], no_row]) | xp.concat([no_row, found[:-1]])
-    return found

@@ -104,14 +104,8 @@ class FloorPlan:
     pixels: tuple[tuple[float, float], tuple[float, float]]
     positions: tuple[tuple[float, float], tuple[float, float]]
 
-    def pixel_of(self, position: Float[np.ndarray, " 3"]) -> tuple[float, float]:
-        """(column, row) of a place in the world: the similarity that both control points define, without a mirror."""
-        turn = self.pixels_per_metre
-        moved = turn * (complex(position[0], position[2]) - complex(*self.positions[0])) + complex(*self.pixels[0])
-        return moved.real, moved.imag
-
     def position_of(self, col: float, row: float) -> tuple[float, float]:
-        """(x, z) in the world of a place in the picture."""
+        """(x, z) in the world of a place in the picture: the similarity of the control points, without a mirror."""
         moved = (complex(col, row) - complex(*self.pixels[0])) / self.pixels_per_metre + complex(*self.positions[0])
         return moved.real, moved.imag
 

@@ -31,7 +31,7 @@ MAX_SINE = 0.5
 
 def top_bottom(
     image: Shaped[np.ndarray, "height width 3"], inverse_depth: Float32[np.ndarray, "height width"],
-    threads: int | None = None, eye_distance: float = EYE_DISTANCE,
+    threads: int | None = None,
 ) -> Shaped[np.ndarray, "double_height width 3"]:  # fmt: skip
     """The left eye's panorama above the right eye's, each of the size and the type of the picture.
 
@@ -39,11 +39,10 @@ def top_bottom(
         image: equirectangular.
         inverse_depth: 1/metre; negative where it is unknown, which counts as infinitely far.
         threads: at most this many.
-        eye_distance: metres.
     """
     height, width, _ = image.shape
     out = np.empty((2 * height, width, 3), image.dtype)
-    sine = np.clip(0.5 * eye_distance * np.maximum(inverse_depth, 0.0), 0.0, MAX_SINE)
+    sine = np.clip(0.5 * EYE_DISTANCE * np.maximum(inverse_depth, 0.0), 0.0, MAX_SINE)
     shift = np.asarray(np.arcsin(sine) * (width / math.radians(360.0)), np.float32)
     rounding = np.float32(0.0 if image.dtype.kind == "f" else 0.5)
     peak = np.float32(np.finfo(np.float32).max if image.dtype.kind == "f" else np.iinfo(image.dtype).max)

@@ -39,26 +39,21 @@ BISECTION_STEPS = 12
 """Of the weighted median: its error is 1/4096 of the range in the window."""
 
 
-def remove_speckles(
-    inverse_depth: Float[np.ndarray, "height width"],
-    valid: Bool[np.ndarray, "height width"],
-    min_pixels: int,
-    max_step: float,
-) -> Bool[np.ndarray, "height width"]:
-    """``valid`` without islands of fewer than ``min_pixels`` whose inverse depth differs from all around.
+MIN_ISLAND_PIXELS = 20
+"""At half size: smaller islands of depth are mistakes more often than things."""
 
-    Args:
-        inverse_depth: any unit.
-        valid: what to keep.
-        min_pixels: least size of an island.
-        max_step: relative difference between neighbours of one surface.
-    """
-    logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + max_step)
+
+def remove_speckles(
+    inverse_depth: Float[np.ndarray, "height width"], valid: Bool[np.ndarray, "height width"]
+) -> Bool[np.ndarray, "height width"]:
+    """``valid`` without small islands whose inverse depth, in any unit, is not that of the surface around."""
+    logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + SAME_SURFACE_TOLERANCE)
     steps = logarithm * float(SPECKLE_LEVELS_PER_STEP) + float(SPECKLE_LEVEL_OF_ONE)
     levels = np.where(valid, np.clip(steps, 0, SPECKLE_MAX_LEVEL), SPECKLE_INVALID_LEVEL).astype(np.int16)
 
     def without_speckles(padded: np.ndarray) -> np.ndarray:
-        return np.asarray(cv2.filterSpeckles(padded, SPECKLE_INVALID_LEVEL, min_pixels, SPECKLE_LEVELS_PER_STEP)[0])
+        kept = cv2.filterSpeckles(padded, SPECKLE_INVALID_LEVEL, MIN_ISLAND_PIXELS, SPECKLE_LEVELS_PER_STEP)[0]
+        return np.asarray(kept)
 
     kept = filter_across_seam(without_speckles, levels, min(SPECKLE_SEAM_COLUMNS, levels.shape[1]))
     return np.asarray(valid & (kept != SPECKLE_INVALID_LEVEL))

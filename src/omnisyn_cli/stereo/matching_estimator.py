@@ -13,7 +13,6 @@ from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
-from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.stereo.costs import is_textured
 from omnisyn_cli.stereo.disparity import (
     EPIPOLE_NO_INFINITY_DEG,
@@ -58,9 +57,6 @@ before any are looked for. (Of 95 pairs, the least share of one that was well ma
 
 SAME_PLANE_TOLERANCE = 0.03
 """Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity."""
-
-MIN_ISLAND_PIXELS = 20
-"""At half size: smaller islands of depth are mistakes more often than things."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +234,7 @@ def _features_in_camera_frame(
     in_pair = pair.remap_to_camera(pose, size)
     inverse_depth = in_pair.nearest(grid.inverse_depth(disparities.disparity))
     consistent = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
-    consistent = remove_speckles(inverse_depth, consistent & usable, MIN_ISLAND_PIXELS, SAME_SURFACE_TOLERANCE)
+    consistent = remove_speckles(inverse_depth, consistent & usable)
     is_infinity_known = np.broadcast_to(grid.is_away_from_epipoles(EPIPOLE_NO_INFINITY_DEG), size)
     sin_elevation = pixel_directions(*size) @ pose.rotation[1]
     sky = find_sky(inverse_depth, consistent & in_pair.nearest(is_infinity_known), sin_elevation, solid_angles(*size))

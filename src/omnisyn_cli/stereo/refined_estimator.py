@@ -28,7 +28,7 @@ from omnisyn_cli.stereo.disparity import (
 )
 from omnisyn_cli.stereo.expected_depth import fill_as_expected
 from omnisyn_cli.stereo.map_filters import joint_upsample, median_filter, remove_speckles
-from omnisyn_cli.stereo.matching_estimator import MIN_ISLAND_PIXELS, MatchingDepthEstimator
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.semi_global import DisparityRange
 from omnisyn_cli.stereo.stereo_features import (
@@ -196,7 +196,7 @@ def _replace_remeasured(
     in_pair = pair.remap_to_camera(view.pose, size)
     exact = in_pair.nearest(grid.inverse_depth(disparities.disparity).astype(np.float32))
     valid = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
-    valid = remove_speckles(exact, valid & usable_pixels(view, size), MIN_ISLAND_PIXELS, SAME_SURFACE_TOLERANCE)
+    valid = remove_speckles(exact, valid & usable_pixels(view, size))
     least, greatest = (extreme(coarse_depth, EDGE_SEARCH_RADIUS) for extreme in (window_min, window_max))
     is_known = (exact >= (1.0 - SAME_SURFACE_TOLERANCE) * least) & (exact <= (1.0 + SAME_SURFACE_TOLERANCE) * greatest)
     taken = valid & is_known

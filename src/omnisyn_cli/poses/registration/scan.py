@@ -112,9 +112,7 @@ def likeness(first: Scan, second: Scan) -> int:
     return len(match_features(*(scan.features.strongest(LIKENESS_FEATURES) for scan in (first, second))))
 
 
-def register_pair(
-    first: Scan, second: Scan, known: tuple[Pose, ...] = (), *, is_thorough: bool = True
-) -> tuple[Estimate | None, Matches]:
+def register_pair(first: Scan, second: Scan, *, is_thorough: bool = True) -> tuple[Estimate | None, Matches]:
     """The relative pose of two panoramas, and the matches that it was found from.
 
     Where few matches agree, walls and floors are compared as well, if the search is thorough.
@@ -123,13 +121,12 @@ def register_pair(
     if first.vertical.is_certain and second.vertical.is_certain:
         verticals = first.vertical.up, second.vertical.up
     matches = match_features(first.features, second.features)
-    estimate = estimate_relative_pose(matches, known, verticals)
+    estimate = estimate_relative_pose(matches, verticals=verticals)
     is_enough = estimate is not None and estimate.inliers.sum() >= ENOUGH_INLIERS
     if is_enough or not is_thorough:
         kept = estimate if is_enough else None
         return _with_right_direction(first, second, kept, matches, verticals), matches
-    if estimate is not None and not estimate.have_same_position:
-        known = (*known, estimate.first_from_second)
+    known = [] if estimate is None or estimate.have_same_position else [estimate.first_from_second]
     matches += match_levelled_features(first.levelled, second.levelled)
     estimate = estimate_relative_pose(matches, known, verticals)
     return _with_right_direction(first, second, estimate, matches, verticals), matches
