@@ -34,7 +34,7 @@ atexit.register(gc.disable)  # looking for garbage when all is given back anyway
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make a 360° video between two or more panoramas."),
     "export": ("omnisyn_cli.cli.export", "Write panoramas and depth for other programs: GLB, PLY, COLMAP."),
-    "view": ("omnisyn_cli.cli.view", "Make a page to walk in with a browser."),
+    "view": ("omnisyn_cli.cli.view", "Make an interactive page to walk through in a browser."),
     "batch": ("omnisyn_cli.cli.batch", "Make all videos of a manifest, on one machine or a Ray cluster."),
     "info": ("omnisyn_cli.cli.info", "Show what the program reads in your files."),
     "train": ("omnisyn_cli.cli.train", "Train the networks on generated scenes."),
@@ -43,7 +43,7 @@ COMMANDS = {
     "poses": ("omnisyn_cli.cli.poses", "Import, export, check, refine and estimate poses."),
     "eval": ("omnisyn_cli.cli.evaluate", "Compare methods on scenes with true frames and depth."),
     "depth-table": ("omnisyn_cli.cli.depth_table", "Compare estimated with true depth, as in the paper."),
-    "bench": ("omnisyn_cli.cli.bench", "Measure what settings cost and gain on this machine."),
+    "bench": ("omnisyn_cli.cli.bench", "Measure the cost and gain of settings on this machine."),
     "scenes": ("omnisyn_cli.cli.scenes", "Generate scenes with exact depth and poses."),
 }
 """Module and one-line help of every command; the command has the name of its key."""

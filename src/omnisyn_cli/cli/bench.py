@@ -66,7 +66,7 @@ def bench(
     dataset: Path | None, report: Path | None, scene_size: tuple[int, int], quick: bool, store: Path | None,
     as_json: bool, quiet: bool, **options: Any,
 ) -> int:  # fmt: skip
-    """Measure what settings cost and gain.
+    """Measure the cost and gain of settings.
 
     \b
     omnisyn bench --quick

@@ -62,11 +62,11 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
 )  # fmt: skip
 @click.option(
     "--clips", is_flag=True,
-    help="With pannellum and marzipano: make short videos of the ways, which the page shows instead of fading.",
+    help="With pannellum and marzipano: make short videos along the links, which the page shows instead of fading.",
 )  # fmt: skip
 @surface_options
 @click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of a former output."
+    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
 )
 @click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")
@@ -84,12 +84,12 @@ def export(
     omnisyn export tour/ --format pannellum -o site/
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
-    it, in the order of their names.
+    it, in an order found from their matches.
 
     Poses, masks and depth work as in `omnisyn interpolate`. All formats are in metres and have the origin of the poses.
     The up axis differs; see docs/export.md. Sites for viewers are described in docs/tours.md.
 
-    Put names that begin with a dash after ``--``.
+    Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export
 

@@ -54,7 +54,7 @@ class SectionedCommand(click.Command):
         hidden = sum(option.name in RARE_OPTIONS for option in options)
         if hidden and not is_complete:
             formatter.write_paragraph()
-            formatter.write_text(f"--help-all shows {hidden} more: sources of depth, encoders, limits, comparisons.")
+            formatter.write_text(f"--help-all lists {hidden} more options.")
 
 
 def by_section(options: Iterable[click.Option]) -> dict[str, list[click.Option]]:

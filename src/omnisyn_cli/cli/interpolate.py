@@ -58,11 +58,11 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--path", metavar="A,B[,C...]",
-    help="Go along links through these panoramas of the folder, see docs/view.md#tours; two are both ends.",
+    help="Follow the links of the folder from A to B and on (docs/view.md#tours).",
 )  # fmt: skip
 @click.option(
     "--every", metavar="SECONDS", type=Seconds(0, min_open=True),
-    help="Take panoramas from a 360° video, one every so many seconds; their poses are found in the pictures.",
+    help="Extract panoramas from a 360° video at this interval, and estimate their poses.",
 )  # fmt: skip
 @click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Length in seconds.  [default: 3 per pair]")
@@ -81,7 +81,7 @@ if TYPE_CHECKING:
 @preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
-    help="Pick the most accurate preset, from fast to balanced, that should finish in this time, and say what more "
+    help="Pick the most accurate preset, from fast to balanced, that should finish in this time, and print what more "
     "time would gain.",
 )  # fmt: skip
 @depth_options
@@ -106,8 +106,8 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--heading", type=click.Choice(["panoramas", "first", "fixed", "travel"]), default="panoramas", show_default=True,
-    help="Where the image centre looks. panoramas: from one panorama's heading to the next; first: as in the first; "
-    "fixed: the world's −z; travel: along the path.",
+    help="Where the image centre looks. panoramas: from one panorama's heading to the next; first: that of the "
+    "first; fixed: the world's −z; travel: along the path.",
 )  # fmt: skip
 @click.option(
     "--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]),
@@ -115,16 +115,17 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--crf", type=float,
-    help="Constant quality of the encoder, lower is better; for h264 0 is lossless, which few players play.  "
-    "[default: 17 for h264]",
+    help="Quality of the encoder (CRF), lower is better; h264 at 0 is lossless, which few players support.  [default: "
+    "17 for h264]",
 )  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @masks_option
 @nadir_option
-@click.option("--nadir-fill", is_flag=True, help="Show ground instead of what is excluded at the ends of the way, too.")
+@click.option("--nadir-fill", is_flag=True, help="Fill masked areas with ground in the first and last frame, too.")
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
-    help="For pairs of low confidence: soft surfaces that dissolve, cross-faded regions, only a warning, or fail.",
+    help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded regions; none: a "
+    "warning; fail: exit code 3.",
 )  # fmt: skip
 @click.option(
     "--save-confidence", metavar="FILE", type=FilePath(), help="Save the confidence of every pixel as a video."
@@ -142,20 +143,20 @@ if TYPE_CHECKING:
     "view`.",
 )  # fmt: skip
 @click.option(
-    "--fov", metavar="DEGREES", type=DegreeRange(10, 150), help="What the width of a flat video spans.  [default: 90]"
+    "--fov", metavar="DEGREES", type=DegreeRange(10, 150), help="Horizontal angle of a flat video.  [default: 90]"
 )
 @click.option(
     "--look", metavar="WHERE",
-    help="Which way a flat video looks: ahead, first (as the first panorama), YAW,PITCH in degrees from there, or a "
-    "JSON file of keyframes.  [default: ahead]",
+    help="Where a flat video looks: ahead, first (the centre of the first panorama), YAW,PITCH in degrees from there, "
+    "or a JSON file of keyframes.  [default: ahead]",
 )  # fmt: skip
 @click.option(
     "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono", show_default=True,
     help="top-bottom: both eyes for headsets, one above the other. Distances have to be in metres.",
 )  # fmt: skip
 @device_option(
-    "Where networks run; auto uses a GPU if ONNX Runtime has one. cuda also makes the frames on it (renderer mesh, "
-    "fusion geometric). Poses and matching always run on the processor."
+    "Where networks run; auto uses a GPU if ONNX Runtime has one. cuda also makes the frames on a GPU (renderer "
+    "mesh, fusion geometric). Poses and matching always run on the processor."
 )
 @threads_option
 @size_options
@@ -181,11 +182,11 @@ def interpolate(
     omnisyn interpolate walk.mp4 --every 2s
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
-    it, in an order that their matches tell.
+    it, in an order found from their matches.
 
     With the default --heading, the first and the last frame are the panoramas themselves.
 
-    Put names that begin with a dash after ``--``.
+    Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.configs import check_device
     from omnisyn_cli.interpolation.inputs import video_ending

@@ -27,8 +27,8 @@ HEADER = ("name", "role", "size", "parameters", "hours", "purpose")
 def models(folder: Path | None, as_json: bool) -> None:
     """List the networks in FOLDER (default: the bundled ones) and check their files.
 
-    `interpolate --model` takes networks that find depth, which the last lines name. Hours are those of
-    training on one processor core. --json also prints the training data, licences, hashes and held-out figures.
+    The last lines list the networks for `interpolate --model`. Hours are training time, mostly on one processor core.
+    --json also prints the training data, licences, hashes and held-out figures.
     """
     from dataclasses import asdict
 

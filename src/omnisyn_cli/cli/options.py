@@ -59,24 +59,23 @@ masks_option = click.option(
 
 cap_option = click.option(
     "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0,
-    help="Exclude a cap of this radius around straight down: a tripod or a car roof.",
+    help="Mask a cap of this radius around straight down, such as a tripod or a car roof.",
 )  # fmt: skip
 
 nadir_option = click.option(
     "--nadir", metavar="DEGREES|auto", type=NadirRange(), default="auto", show_default=True,
-    help="Exclude a cap of this radius around straight down; auto finds caps, tripods and operators; 0 excludes "
-    "nothing.",
+    help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
 )  # fmt: skip
 
 
 scale_options = all_of(
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
-        help="Mean distance between neighbours, for poses from the pictures.  [default: 1]",
+        help="Mean distance between neighbours, for estimated poses.  [default: 1]",
     ),
     click.option(
         "--camera-height", metavar="METRES", type=FiniteRange(0, min_open=True),
-        help="Height of the cameras above the floor, for such poses, instead of --baseline.",
+        help="Camera height above the floor, for estimated poses, instead of --baseline.",
     ),
 )  # fmt: skip
 """What poses that are found in the pictures get their metres from."""
@@ -85,7 +84,7 @@ tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
         "--poses", type=FilePath(),
-        help="auto: find the camera poses in the pictures (see --baseline); else a JSON file with them.  [default: "
+        help="JSON file with the camera poses; auto: estimate them from the pictures (see --baseline).  [default: "
         "poses.json beside the pictures]",
     ),
     scale_options,
@@ -112,7 +111,7 @@ cut_options = all_of(
     ),
     click.option(
         "--cut-metres", type=FiniteRange(0, min_open=True),
-        help="Cut at steps of depth instead, as the paper does.  [default: 2 for paper]",
+        help="Cut at depth steps of this size instead, as the paper does.  [default: 2 for paper]",
     ),
 )  # fmt: skip
 """Where surfaces are cut; one of them."""
@@ -123,15 +122,15 @@ reading_options = all_of(
     ),
     click.option(
         "--hfov", metavar="DEGREES", type=DegreeRange(0, 360, min_open=True),
-        help="Panoramas without tags are parts of the sphere, this wide; the rest is filled in.",
+        help="Horizontal angle of panoramas that are only part of the sphere, unless tags give it.",
     ),
     click.option(
         "--vfov", metavar="DEGREES", type=DegreeRange(0, 180, min_open=True),
-        help="How high such parts are.  [default: follows from --hfov]",
+        help="Vertical angle of such panoramas.  [default: follows from --hfov]",
     ),
     click.option(
         "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5, show_default=True,
-        help="Where their horizon is, from 0 at the top to 1 at the bottom.",
+        help="Height of their horizon, from 0 (top) to 1 (bottom).",
     ),
 )  # fmt: skip
 """What of the sphere pictures show, where their files do not say it."""
@@ -141,7 +140,7 @@ size_options = all_of(
     reading_options,
     click.option(
         "--view-transform/--no-view-transform", default=True,
-        help="Show linear light of EXR and HDR files as screens do, or take its numbers.  [default: show it]",
+        help="Tone-map linear light of EXR and HDR files for screens, or keep its numbers.  [default: tone-map]",
     ),
     click.option(
         "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,

@@ -109,7 +109,7 @@ def poses() -> None:
 )
 @click.option(
     "--roll", type=click.Choice(ROLL_DIRECTIONS),
-    help="How the horizon turns as the roll of images or a table grows.  [default: counter-clockwise, as GPano says]",
+    help="How a positive roll of images or a table rotates the horizon.  [default: counter-clockwise, as in GPano]",
 )  # fmt: skip
 @click.option("--floor", help="Floor of a ZInD tour, e.g. floor_01.  [default: the only one]")
 @click.option(
@@ -192,7 +192,7 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
     """Check whether poses fit the pictures, and name the mistake if not.
 
     The command matches points of neighbouring panoramas and compares them with the poses. It cannot check distances,
-    but it says how high the cameras stand by the distances given.
+    but prints the camera heights that follow from them.
     """
     from omnisyn_cli.poses.estimation import check_poses
     from omnisyn_cli.poses.file import read_poses

@@ -43,7 +43,7 @@ SUITE_OPTIONS = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"
 )  # fmt: skip
 @click.option(
     "--wide", is_flag=True,
-    help="With --suite: ten scenes of every kind instead, each with one walk of its usual length.",
+    help="With --suite: ten scenes of every kind instead, each with one walk of 0.3 to 6 m.",
 )  # fmt: skip
 @click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="Kind of scene.")
 @click.option(
@@ -84,8 +84,8 @@ def make(
 ) -> None:  # fmt: skip
     """Make scenes: panoramas, their depth (EXR, metres) and poses.json.
 
-    A scene appears whole or not at all. Equal seeds make equal scenes, whatever the number of threads.
-    What else lies in a folder stays there: --overwrite replaces only files of the names that are written.
+    A scene appears complete or not at all. Equal seeds make equal scenes, at any number of threads. --overwrite
+    replaces only files of the same names; other files in a folder stay.
 
     With --suite every scene of the standard set gets a folder in OUT, which `omnisyn eval OUT` reads; only --wide,
     --size, --threads, --overwrite and --quiet apply.

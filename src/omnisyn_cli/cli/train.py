@@ -106,13 +106,13 @@ def fusion(**options: Any) -> None:
     "--depth",
     default="paper-narrow",
     show_default=True,
-    help="Depth network of a new run: a variant or a checkpoint.",
+    help="Depth network of a new run: a variant of train depth, or a checkpoint.",
 )
 @click.option(
     "--fusion",
     default="paper-narrow",
     show_default=True,
-    help="Fusion network of a new run: a variant or a checkpoint that paints.",
+    help="Fusion network of a new run: paper, paper-narrow or a checkpoint of one of them.",
 )
 @_height_option(256, 64)
 def joint(depth: str, fusion: str, **options: Any) -> None:

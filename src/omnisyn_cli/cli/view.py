@@ -50,10 +50,11 @@ OPENER_SECONDS = 2.0
 @surface_options
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
-    help="For pairs of low confidence: soft surfaces that dissolve, cross-faded photographs, only a warning, or fail.",
+    help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded photographs; none: a "
+    "warning; fail: exit code 3.",
 )  # fmt: skip
 @click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of a former output."
+    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
 )
 @click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")
@@ -62,7 +63,7 @@ def view(
     *, as_json: bool, dry_run: bool, quiet: bool, texture: int, lossless: bool,
     folder: bool, serve: bool, is_opened: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """Make a page to walk in, from panorama A to B, and on through C and more.
+    """Make an interactive page to walk through, from panorama A to B, and on through C and more.
 
     \b
     omnisyn view a.jpg b.jpg --poses auto --baseline 1.4 --open
@@ -70,12 +71,12 @@ def view(
     omnisyn view tour/ --folder --serve --open
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
-    it, in the order of their names.
+    it, in an order found from their matches.
 
     The page works offline from a double click. It shows what a video frame would show, from any place near the path.
     Poses, masks and depth work as in `omnisyn interpolate`.
 
-    Put names that begin with a dash after ``--``.
+    Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
 
