@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.types import DepthEstimate, View
-from synthesis_samples import RADIUS, distance_to_wall
+from synthesis_samples import RADIUS
 
 TINY_SIZE = (32, 64)
 
@@ -42,11 +41,6 @@ class HallNetworks:
 
     def picture(self, points: np.ndarray) -> np.ndarray:
         return np.clip(points[..., :3] / np.maximum(points[..., 3:], 1e-6), 0.0, 1.0).astype(np.float32)
-
-
-def true_depths(view: View, size: tuple[int, int]) -> DepthEstimate:
-    inverse_depth = (1.0 / distance_to_wall(view.pose, size)).astype(np.float32)
-    return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
 
 
 def write_synsin_models(folder: Path) -> Path:

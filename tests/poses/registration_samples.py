@@ -96,9 +96,6 @@ def street_truth() -> Pose:
     return relative_pose(*street_poses())
 
 
-OPENCV_FROM_OURS = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-
-
 def _inverted(pose: Pose) -> Pose:
     return Pose(pose.rotation.T, -pose.rotation.T @ pose.position)
 

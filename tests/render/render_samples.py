@@ -7,8 +7,10 @@ import numpy as np
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.pipeline.renderers import RENDERERS
-from omnisyn_cli.render.mesh import Cut, Triangles
+from omnisyn_cli.render.mesh import Cut, Mesh, Triangles
 from omnisyn_cli.render.renderer import RendererInputs
+from omnisyn_cli.render.shade import Shader, make_confidence_map
+from omnisyn_cli.render.texture import Texture
 
 WHOLE = Cut(relative=None)
 CUTS = {
@@ -18,6 +20,14 @@ CUTS = {
     "metres": Cut(relative=None, metres=2.0),
     "everywhere": Cut(relative=1e-9),
 }
+
+
+def shade(
+    inverse_depth: np.ndarray, mesh: Mesh, texture: Texture, target_from_source: Pose, threads: int | None = None
+) -> np.ndarray:
+    """Colour of what a target sees of a mesh, and alpha times its confidence."""
+    shader = Shader((inverse_depth.shape[0], inverse_depth.shape[1]), threads)
+    return shader(inverse_depth, make_confidence_map(mesh, texture), texture, target_from_source)
 
 
 def rough(height: int, width: int, seed: int = 0) -> np.ndarray:

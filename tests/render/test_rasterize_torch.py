@@ -6,9 +6,16 @@ from render_samples import CUTS, POSES, moved, random_pose, rough, smooth, turn
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_bilinear_at
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.mesh import build_mesh
+from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.rasterize_torch import _source_pixels, rasterize_torch, render_fragments
+from omnisyn_cli.render.rasterize_torch import TorchLayer, _source_pixels, render_fragments
+
+
+def rasterize_torch(
+    rho: torch.Tensor, image: torch.Tensor, pose: Pose, size: tuple[int, int], cut: Cut | None = None
+) -> TorchLayer:
+    mesh = build_mesh(rho.detach().numpy(), cut)
+    return render_fragments(rasterize(mesh, pose, size), mesh, rho, image, pose)
 
 
 def colours(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
@@ -133,27 +140,6 @@ def test_what_is_not_seen_gets_no_gradient_and_no_colour():
     assert (found.inverse_depth[~found.visibility] == -1).all()
     (found.inverse_depth * ~found.visibility).sum().backward()
     assert (rho.grad == 0).all()
-
-
-def test_a_batch_is_rendered_one_by_one():
-    rho, image = (
-        torch.from_numpy(np.stack([rough(4, 8), smooth(4, 8)])),
-        torch.stack([colours(4, 8), colours(4, 8) / 2]),
-    )
-    poses = Pose(np.stack([np.eye(3), turn(0.1, 0.2, 0.3)]), np.array([[0.1, 0.2, 0.3], [0.0, -0.5, 0.0]]))
-    mask = torch.ones(2, 4, 8, dtype=torch.bool)
-    mask[0, 1:3, 2:5] = False
-    found = rasterize_torch(rho, image, poses, (6, 12), mask=mask)
-    for k in range(2):
-        pose = Pose(poses.rotation[k], poses.position[k])
-        single = rasterize_torch(rho[k], image[k], pose, (6, 12), mask=mask[k])
-        for name in ("colour", "inverse_depth", "visibility"):
-            assert torch.equal(getattr(found, name)[k], getattr(single, name))
-
-
-def test_broken_inverse_depths_are_refused():
-    with pytest.raises(ValueError, match="finite"):
-        rasterize_torch(torch.full((4, 8), torch.nan), colours(4, 8), Pose.identity(), (4, 8))
 
 
 @pytest.mark.parametrize("up", [1, -1])

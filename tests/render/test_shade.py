@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from render_samples import POSES, WHOLE, moved, rough, smooth, turn
+from render_samples import POSES, WHOLE, moved, rough, shade, smooth, turn
 
 from omnisyn_cli.compute.trigonometry import ATAN2_ERROR, atan2_fast
 from omnisyn_cli.geometry.pose import Pose
@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.sampling import sample_bicubic
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.shade import Shader, shade
+from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 
 

@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
-from render_samples import rough
+from render_samples import rough, shade
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES, FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.shade import shade
 from omnisyn_cli.render.surface_confidence import (
     BEHIND_CUT_CONFIDENCE,
     BEHIND_RATIO,

@@ -12,7 +12,7 @@ from omnisyn_cli.geometry.sphere import direction_to_angles, linearised_arccos, 
 from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.rasterize_torch import rasterize_torch
+from omnisyn_cli.render.rasterize_torch import render_fragments
 from reference_rasterizer import rasterize_reference
 
 TOLERANCE = 1e-5
@@ -80,6 +80,12 @@ PIXELS = {
 }  # fmt: skip
 
 
+def inverse_depth_seen(rho: torch.Tensor, pose: Pose) -> torch.Tensor:
+    """At the size of a panorama, from elsewhere."""
+    mesh, colour = build_mesh(rho.detach().numpy()), torch.rand(16, 32, 3, dtype=torch.float64)
+    return render_fragments(rasterize(mesh, pose, (16, 32)), mesh, rho, colour, pose).inverse_depth
+
+
 @pytest.mark.parametrize("place", PIXELS)
 @pytest.mark.parametrize("motion", [(0.0, 0.0, 0.4), (0.0, 0.4, 0.0), (0.3, -0.2, 0.1)])
 def test_a_nearer_world_looks_nearer_everywhere(place: str, motion: tuple[float, float, float]) -> None:
@@ -88,9 +94,8 @@ def test_a_nearer_world_looks_nearer_everywhere(place: str, motion: tuple[float,
     At the poles it is never negative: whoever moves towards one looks into a cap, whose depth is that of no pixel.
     """
     nearness = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
-    colour = torch.rand(16, 32, 3, dtype=torch.float64)
     pose = Pose(rotation_from_rotation_vector(np.array([0.0, 0.2, 0.0])), np.array(motion))
-    seen = rasterize_torch(nearness.expand(16, 32), colour, pose, (16, 32)).inverse_depth
+    seen = inverse_depth_seen(nearness.expand(16, 32), pose)
     seen[PIXELS[place]].backward()
     assert nearness.grad is not None
     assert (0.0 if place in ("zenith", "nadir") else 0.2) <= float(nearness.grad) < 20
@@ -102,8 +107,7 @@ def test_gradients_do_not_jump_where_silhouettes_are() -> None:
     is_near = directions @ np.array([0.0, 0.0, -1.0]) > np.cos(0.6)
     near = torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
     rho = torch.where(torch.from_numpy(is_near), near, torch.tensor(0.2, dtype=torch.float64))
-    colour = torch.rand(16, 32, 3, dtype=torch.float64)
-    seen = rasterize_torch(rho, colour, Pose(np.eye(3), np.array([0.3, 0.1, 0.2])), (16, 32)).inverse_depth
+    seen = inverse_depth_seen(rho, Pose(np.eye(3), np.array([0.3, 0.1, 0.2])))
     found = [torch.autograd.grad(seen[row, col], near, retain_graph=True)[0] for row in range(16) for col in range(32)]
     gradients = torch.stack(found)
     assert torch.isfinite(gradients).all()

@@ -24,8 +24,8 @@ from torch import Tensor
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear_at
 from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, linearised_arccos, pixel_directions
-from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
-from omnisyn_cli.render.rasterize import Fragments, rasterize
+from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.rasterize import Fragments
 
 __all__ = ["render_fragments"]
 
@@ -46,48 +46,9 @@ class TorchLayer:
         visibility: whether a surface is seen; no gradient.
     """
 
-    colour: Float[Tensor, "*batch height width channels"]
-    inverse_depth: Float[Tensor, "*batch height width"]
-    visibility: Bool[Tensor, "*batch height width"]
-
-
-def rasterize_torch(
-    inverse_depth: Float[Tensor, "*batch rows cols"],
-    colour: Float[Tensor, "*batch image_rows image_cols channels"],
-    target_from_source: Pose,
-    size: tuple[int, int],
-    cut: Cut | None = None,
-    mask: Bool[Tensor, "*batch rows cols"] | None = None,
-) -> TorchLayer:
-    """One panorama, or a batch of them, seen from elsewhere.
-
-    Args:
-        inverse_depth: 1/metre, finite and >= 0, of the mesh.
-        colour: any number of channels, at a resolution of its own; read bilinearly, without mip levels.
-        target_from_source: rigid transform; with a batch, its arrays may have a batch axis.
-        size: height and width of the target.
-        cut: where surfaces are separated.
-        mask: False where there is no surface.
-
-    Raises:
-        ValueError: on inverse depths that are negative or not finite.
-    """
-    if inverse_depth.ndim == 2:
-        surface = inverse_depth.detach().cpu().numpy()
-        mesh = build_mesh(surface, cut, None if mask is None else mask.cpu().numpy())
-        fragments = rasterize(mesh, target_from_source, size)
-        return render_fragments(fragments, mesh, inverse_depth, colour, target_from_source)
-    views = [
-        rasterize_torch(
-            inverse_depth[k], colour[k], _pose_of(target_from_source, k), size, cut, None if mask is None else mask[k]
-        )
-        for k in range(len(inverse_depth))
-    ]
-    return TorchLayer(
-        torch.stack([view.colour for view in views]),
-        torch.stack([view.inverse_depth for view in views]),
-        torch.stack([view.visibility for view in views]),
-    )
+    colour: Float[Tensor, "height width channels"]
+    inverse_depth: Float[Tensor, "height width"]
+    visibility: Bool[Tensor, "height width"]
 
 
 def render_fragments(
@@ -167,9 +128,3 @@ def _source_pixels(directions: Tensor, size: tuple[int, int]) -> tuple[Tensor, T
     straight = linearised_arccos(cosine, cap)
     polar_angle = polar_angle + torch.where(near, straight - straight.detach(), torch.zeros_like(straight))
     return angles_to_pixel(azimuth, polar_angle, size)
-
-
-def _pose_of(pose: Pose, k: int) -> Pose:
-    """Pose ``k`` of a batch, or the one pose of all."""
-    rotation = pose.rotation if pose.rotation.ndim == 2 else pose.rotation[k]
-    return Pose(rotation, pose.position if pose.position.ndim == 1 else pose.position[k])

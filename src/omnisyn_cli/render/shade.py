@@ -196,27 +196,3 @@ def source_view(target_from_source: Pose, texels_per_pixel: float) -> SourceView
 def _texture_arrays(confidence: ConfidenceMap, texture: Texture) -> TextureArrays:
     weights = cubic_weights(str(texture.texels.dtype))
     return TextureArrays(confidence.values, confidence.layout, texture.texels, texture.layout, weights)
-
-
-def shade(
-    inverse_depth: InverseDepth,
-    mesh: Mesh,
-    texture: Texture,
-    target_from_source: Pose,
-    threads: int | None = None,
-) -> Float32[np.ndarray, "height width 4"]:
-    """Colour of a surface and, as fourth channel, alpha times its confidence; all 0 where nothing is seen.
-
-    Where the photograph is magnified it is read by Catmull-Rom interpolation. Where it is minified, two mip levels,
-    half a level finer than its footprint, are read bilinearly and mixed.
-
-    Args:
-        inverse_depth: what the target sees of ``mesh``, 1/metre, negative where that is nothing.
-        mesh: the surface.
-        texture: the photograph, in the frame of the mesh.
-        target_from_source: the transform that it was seen with.
-        threads: at most this many.
-    """
-    height, width = inverse_depth.shape
-    confidence = make_confidence_map(mesh, texture)
-    return Shader((height, width), threads)(inverse_depth, confidence, texture, target_from_source)

@@ -8,8 +8,7 @@ from gpu_samples import CPU, POSES
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.shade import make_confidence_map
-from omnisyn_cli.render.shade import shade as shade_by_kernels
+from omnisyn_cli.render.shade import Shader, make_confidence_map
 from omnisyn_cli.render.texture import Texture, make_texture
 from omnisyn_cli.synthesis.device.shading import confidence_on, shade, texture_on
 
@@ -21,6 +20,11 @@ def looked_up(fragments: Fragments, mesh: Mesh, texture: Texture, pose: str) -> 
     rho = torch.from_numpy(fragments.inverse_depth)
     rays = torch.from_numpy(pixel_directions(*rho.shape).astype(np.float32))
     return shade(rho, surface_confidence, rays, texture_on(texture, CPU), POSES[pose], len(rho)).numpy()
+
+
+def by_kernels(fragments: Fragments, mesh: Mesh, texture: Texture, pose: str) -> np.ndarray:
+    confidence = make_confidence_map(mesh, texture)
+    return Shader(fragments.inverse_depth.shape)(fragments.inverse_depth, confidence, texture, POSES[pose])
 
 
 @pytest.mark.parametrize("rows", [16, 40, 150, 321], ids=lambda rows: f"{rows} texel rows")
@@ -35,7 +39,7 @@ def test_agrees_with_the_kernels(rows: int, pose: str, dtype: type) -> None:
     rho = (0.3 + 0.1 * rng.random((12, 24))).astype(np.float32)
     mesh = build_mesh(rho, mask=rng.random((12, 24)) > 0.1, confidence=rng.random((12, 24)))
     fragments = rasterize(mesh, POSES[pose], SIZE, threads=1)
-    expected = shade_by_kernels(fragments.inverse_depth, mesh, texture, POSES[pose])
+    expected = by_kernels(fragments, mesh, texture, pose)
     found = looked_up(fragments, mesh, texture, pose)
     assert (found[fragments.face < 0] == 0.0).all()
     # A mip level that is all but whole may be rounded up by one and down by the other; the mixture is the same.
@@ -52,5 +56,5 @@ def test_rows_of_more_pixels_than_are_read_together_agree(rows: int) -> None:
     texture, rho = make_texture(image.astype(np.float32)), (0.3 + 0.1 * rng.random((12, 24))).astype(np.float32)
     mesh = build_mesh(rho, confidence=rng.random((12, 24)))
     fragments = rasterize(mesh, POSES["any"], size, threads=1)
-    expected = shade_by_kernels(fragments.inverse_depth, mesh, texture, POSES["any"])
+    expected = by_kernels(fragments, mesh, texture, "any")
     np.testing.assert_allclose(looked_up(fragments, mesh, texture, "any"), expected, atol=1e-4)
