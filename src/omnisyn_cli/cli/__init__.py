@@ -60,9 +60,8 @@ def cli() -> None:
     omnisyn interpolate first.jpg second.jpg --poses auto --baseline 1.4
     omnisyn view first.jpg second.jpg --poses auto --baseline 1.4 --open
 
-    Panoramas are equirectangular images. --poses auto finds where they were taken; --baseline is the distance in
-    metres. A pose file may say both instead.
-
+    Panoramas are equirectangular images. --poses auto estimates where they were taken; --baseline is the distance
+    in metres. A pose file can give both instead.
     """  # noqa: D301 - click's \b is a backspace
 
 

@@ -86,8 +86,8 @@ def depth(**options: Any) -> None:
 def completion(**options: Any) -> None:
     """Train the network that completes matched depth in FOLDER, or continue the run there.
 
-    Matching is simulated from the exact depth of the pool. Pools of `omnisyn train evidence` hold really matched
-    scenes. They take long to make, so use them last.
+    Matching is simulated from the exact depth of the pool. Pools of `omnisyn train evidence` have real
+    matching. They take long to make, so use them last.
     """
     _train_variant("completion", **options)
 
