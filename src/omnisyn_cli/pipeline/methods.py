@@ -122,8 +122,8 @@ METHODS: Mapping[str, MethodStrategy] = MappingProxyType({
     method.name: method
     for method in (
         MethodStrategy(OMNISYN, "depth, mesh, fusion", _make_surfaces, draws_surfaces=True, is_offered=True),
-        MethodStrategy("crossfade", "both panoramas, turned, averaged by time", _make_crossfade),
-        MethodStrategy("flow", "both panoramas moved along optical flow (DIS), averaged by time", _make_flow),
+        MethodStrategy("crossfade", "cross-fade of both rotated panoramas", _make_crossfade),
+        MethodStrategy("flow", "both panoramas warped along optical flow (DIS) and cross-faded", _make_flow),
         MethodStrategy("synsin", "SynSin from the nearer panorama", partial(_make_synsin, sources=1), **_SYNSIN),
         MethodStrategy("synsin-2view", "SynSin from both panoramas", partial(_make_synsin, sources=2), **_SYNSIN),
     )
