@@ -307,31 +307,13 @@ def find_method(name: str) -> ComparedMethod:
 
 
 def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMethod:
-    key, _, value = parameter.partition("=")
-    config = method.config
+    """The method with a parameter; InputError: it has none of that name, or not with that value."""
     try:
-        if key == "cut" and 0 < float(value) <= 1:
-            return replace(method, config=replace(config, cut=float(value), cut_metres=None))
-        if key == "metres" and float(value) > 0:
-            return replace(method, config=replace(config, cut=None, cut_metres=float(value)))
-        if key == "renderer" and value in RENDERERS:
-            return replace(method, config=replace(config, renderer=value))
-        if parameter in FUSION_PARAMETERS:
-            return replace(method, config=replace(config, fusion=FUSION_PARAMETERS[parameter]), shows_first_only=False)
-        is_adjustable = config.depth.strategy.model_is_optional
-        if is_adjustable and (source := _changed_source(config.depth, parameter)) is not None:
-            return replace(method, config=replace(config, depth=source))
-        if parameter in SETTINGS:
-            return replace(method, config=replace(config, **SETTINGS[parameter]))
-        if parameter in WHAT_IS_SEEN:
-            return replace(method, **WHAT_IS_SEEN[parameter])
-        if parameter == TOUR_PARAMETER and config.estimates_depth:
-            return replace(method, is_in_tour=True)
-        if key == "depth":
-            width, height = (int(number) for number in value.lower().split("x"))
-            if width == 2 * height > 0:
-                return replace(method, depth_size=(height, width))
-    except ValueError:
+        if of_config := _config_changes(method.config, parameter):
+            return replace(method, config=replace(method.config, **of_config))
+        if of_method := _method_changes(method.config, parameter):
+            return replace(method, **of_method)
+    except ValueError:  # no number
         pass
     plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
     raise InputError(
@@ -341,12 +323,34 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     )
 
 
-def _changed_source(source: DepthSource, parameter: str) -> DepthSource | None:
-    """Refined depth of other rows or without a network; None where the parameter says neither."""
+def _config_changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
+    """What a parameter changes in a config; nothing where it is no such parameter. ValueError: no number."""
     key, _, value = parameter.partition("=")
-    if key == "rows" and int(value) >= MIN_ROWS:
-        return replace(source, rows=int(value))
-    return replace(source, **WITHOUT_NETWORK[parameter]) if parameter in WITHOUT_NETWORK else None
+    if key == "cut" and 0 < float(value) <= 1:
+        return {"cut": float(value), "cut_metres": None}
+    if key == "metres" and float(value) > 0:
+        return {"cut": None, "cut_metres": float(value)}
+    if key == "renderer" and value in RENDERERS:
+        return {"renderer": value}
+    if config.depth.strategy.model_is_optional:
+        if key == "rows" and int(value) >= MIN_ROWS:
+            return {"depth": replace(config.depth, rows=int(value))}
+        if parameter in WITHOUT_NETWORK:
+            return {"depth": replace(config.depth, **WITHOUT_NETWORK[parameter])}
+    return SETTINGS.get(parameter, {})
+
+
+def _method_changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
+    """What a parameter changes in a method besides, likewise."""
+    key, _, value = parameter.partition("=")
+    if parameter in FUSION_PARAMETERS:
+        return {"config": replace(config, fusion=FUSION_PARAMETERS[parameter]), "shows_first_only": False}
+    if parameter == TOUR_PARAMETER and config.estimates_depth:
+        return {"is_in_tour": True}
+    if key == "depth":
+        width, height = (int(number) for number in value.lower().split("x"))
+        return {"depth_size": (height, width)} if width == 2 * height > 0 else {}
+    return WHAT_IS_SEEN.get(parameter, {})
 
 
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}

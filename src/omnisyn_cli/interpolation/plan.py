@@ -338,6 +338,33 @@ def _installed(config: RunConfig) -> RunConfig:
 
 def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     """The job in its order; the poses, read, refined or found, and what there is to say about them."""
+    _check_pose_options(job)
+    is_found = job.poses == POSES_FROM_PICTURES
+    if not (is_found or job.refine):
+        return job, read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
+    # OpenCV takes a while to import and is needed for poses from pictures only.
+    from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
+
+    reading = reading_of(job)
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
+    if not is_found:
+        given = read_poses(job.poses, allow_outside=job.allow_outside)
+        refined = refine_poses(job.images, given, options)
+        remarks = (*notes_of_place(job.images, job.poses), *refined.notes)
+        return job, replace(given, panoramas=refined.panoramas), remarks
+    found = estimate_poses(
+        job.images, () if job.baseline is None else (job.baseline,), options,
+        camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
+    )  # fmt: skip
+    order = [job.images.index(image) for image in found.order]
+    job = replace(
+        job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
+    )
+    return job, PoseFile(job.poses, found.panoramas, found.links), found.notes
+
+
+def _check_pose_options(job: TourJob) -> None:
+    """Refuse options that are for poses from pictures alone, or for poses from a file alone (InputError)."""
     is_found = job.poses == POSES_FROM_PICTURES
     for name, metres in (("baseline", job.baseline), ("height of the camera", job.camera_height)):
         if metres is not None and not is_found:
@@ -349,26 +376,6 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
         raise InputError("expected a baseline or the height of the camera, got both; leave out one of them")
     if job.refine and is_found:
         raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
-    if not (is_found or job.refine):
-        return job, read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
-    # OpenCV takes a while to import and is needed for poses from pictures only.
-    from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
-
-    reading = reading_of(job)
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
-    if job.refine:
-        given = read_poses(job.poses, allow_outside=job.allow_outside)
-        found = refine_poses(job.images, given, options)
-        return job, replace(given, panoramas=found.panoramas), (*notes_of_place(job.images, job.poses), *found.notes)
-    found = estimate_poses(
-        job.images, () if job.baseline is None else (job.baseline,), options,
-        camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
-    )  # fmt: skip
-    order = [job.images.index(image) for image in found.order]
-    job = replace(
-        job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
-    )
-    return job, PoseFile(job.poses, found.panoramas, found.links), found.notes
 
 
 def frame_count(job: InterpolationJob) -> int:

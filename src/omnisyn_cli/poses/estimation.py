@@ -129,6 +129,23 @@ class FoundPoses:
         return None if links == links_between(names, positions) else links
 
 
+@dataclass(frozen=True)
+class PoseGraph:
+    """The panoramas of a set that matching pictures connect, by their numbers.
+
+    Attributes:
+        poses: in a world of their own; the unit is a baseline.
+        edges: pairs whose relative poses agree.
+        contradicting: the number of pairs between them that do not.
+        adjusted: all poses adjusted together; None of a single pair.
+    """
+
+    poses: dict[int, Pose]
+    edges: list[Edge]
+    contradicting: int
+    adjusted: Adjustment | None
+
+
 def check_poses(
     images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None
 ) -> Iterator[PairDiagnosis]:
@@ -196,37 +213,49 @@ def estimate_poses(
     """
     _check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
-    scans = list(_scans(images, options or PictureOptions()))
-    matched, tried = _matched_edges(scans, is_ordered=not finds_order)
-    rotations = average_rotations(matched, placed_panoramas(matched, len(images)))
-    edges = consistent_edges(matched, rotations)
-    placed = placed_panoramas(edges, len(images))
-    left_out = [image for k, image in enumerate(images) if k not in placed]
-    if len(placed) < 2 or (left_out and must_place_all):
-        raise _unplaced(images, placed, tried)
-    edges = [edge for edge in edges if edge.first in placed]
-    edges = agreeing_edges(edges, {k: rotations[k] for k in placed}, is_ordered=not finds_order)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
-    found = positions_of(edges, *baseline_lengths(edges, given), {k: rotations[k] for k in placed})
-    poses = {k: Pose(rotations[k], found[k]) for k in placed}
-    adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
-    poses = adjusted.poses if adjusted else poses
-    order = shortest_path({k: pose.position for k, pose in poses.items()}, edges) if finds_order else placed
-    world, level_note = _levelled({k: poses[k] for k in order}, scans)
+    scans = list(_scans(images, options or PictureOptions()))
+    graph = _solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
+    edges, order = graph.edges, sorted(graph.poses)
+    if finds_order:
+        order = shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
+    world, level_note = _levelled({k: graph.poses[k] for k in order}, scans)
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
-    world = {k: Pose(pose.rotation, scale * pose.position) for k, pose in world.items()}
-    known = {pair: _relative_uncertainty(*pair, edges, adjusted) for pair in pairwise(order)}
+    known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
-    if contradictions := sum(edge.first in placed for edge in matched) - len(edges):
-        notes.append(f"{contradictions} more match, but contradict the others and are not used")
-    if left_out:
-        notes.append(f"left out, as nothing tells where they are: {', '.join(image.name for image in left_out)}")
+    if graph.contradicting:
+        notes.append(f"{graph.contradicting} more match, but contradict the others and are not used")
+    if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:
+        notes.append(f"left out, as nothing tells where they are: {', '.join(left_out)}")
     if finds_order:
         notes.append(f"order: {', '.join(images[k].name for k in order)}")
     names, spreads = distinct_names(images), [None, *known.values()]
-    entries = {names[k]: PosedPanorama(world[k], uncertainty=spread) for k, spread in zip(order, spreads, strict=True)}
+    entries = {
+        names[k]: PosedPanorama(Pose(world[k].rotation, scale * world[k].position), uncertainty=spread)
+        for k, spread in zip(order, spreads, strict=True)
+    }
     pairs = tuple((names[edge.first], names[edge.second]) for edge in edges)
     return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order), pairs)
+
+
+def _solve_pose_graph(
+    images: Sequence[Path], scans: Sequence[Scan], given: Mapping[tuple[int, int], float],
+    *, must_place_all: bool, is_ordered: bool,
+) -> PoseGraph:  # fmt: skip
+    """Rotations averaged over all pairs, positions from directions and lengths, then both adjusted to the matches."""
+    matched, tried = _matched_edges(scans, is_ordered=is_ordered)
+    rotations = average_rotations(matched, placed_panoramas(matched, len(images)))
+    edges = consistent_edges(matched, rotations)
+    placed = placed_panoramas(edges, len(images))
+    if len(placed) < 2 or (must_place_all and len(placed) < len(images)):
+        raise _unplaced(images, placed, tried)
+    rotations = {k: rotations[k] for k in placed}
+    edges = agreeing_edges([edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered)
+    positions = positions_of(edges, *baseline_lengths(edges, given), rotations)
+    poses = {k: Pose(rotations[k], positions[k]) for k in placed}
+    adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
+    contradicting = sum(edge.first in placed for edge in matched) - len(edges)
+    return PoseGraph(adjusted.poses if adjusted else poses, edges, contradicting, adjusted)
 
 
 def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:
@@ -376,12 +405,10 @@ def _usable_picture(
     return panorama.image, usable
 
 
-def _relative_uncertainty(
-    first: int, second: int, edges: Sequence[Edge], adjusted: Adjustment | None
-) -> PoseUncertainty:
-    if adjusted is None:
-        return _of_pair(edges[0].estimate)
-    rotation, position = adjusted.relative_std(first, second)
+def _relative_uncertainty(first: int, second: int, graph: PoseGraph) -> PoseUncertainty:
+    if graph.adjusted is None:
+        return _of_pair(graph.edges[0].estimate)
+    rotation, position = graph.adjusted.relative_std(first, second)
     return PoseUncertainty(rotation, position if math.isfinite(position) else None)
 
 

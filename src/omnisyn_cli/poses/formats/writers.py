@@ -41,24 +41,32 @@ def export_poses(
     """
     if format_name not in EXPORT_FORMATS:
         raise ValueError(f"expected one of {', '.join(EXPORT_FORMATS)}, got {format_name!r}")
+    folder = images or poses.path.parent
     if format_name == "gpano":
-        return _write_tagged(poses, output, images or poses.path.parent, overwrite)
+        return _write_tagged(poses, output, folder, overwrite)
     if format_name == "colmap":
-        outputs.check_staged_folder(output)
-    else:
-        outputs.check_output(output, overwrite)
-    for name in colmap_files({}, {}) if format_name == "colmap" and output.is_dir() else ():
-        outputs.check_output(output / name, overwrite)
+        return _write_colmap(poses, output, folder, size, overwrite)
+    outputs.check_output(output, overwrite)
     chosen = {name: panorama.pose for name, panorama in poses.panoramas.items()}
     if format_name == "tum":
-        outputs.write_parts(output, [tum_text(chosen).encode()])
-        return ("time stamps: the numbers of the panoramas; their names are in comments",)
-    folder = images or poses.path.parent
-    files = {name: folder / name if (folder / name).is_file() else None for name in chosen}
-    sizes = {name: size or _size(poses.path, name, folder, file) for name, file in files.items()}
-    if format_name == "nerfstudio":
-        outputs.write_parts(output, [nerfstudio_text(chosen, sizes, files, output.parent).encode()])
-        return ("world: z up; depth and masks are not written",)
+        text, note = tum_text(chosen), "time stamps: the numbers of the panoramas; their names are in comments"
+    else:
+        files = {name: folder / name if (folder / name).is_file() else None for name in chosen}
+        text = nerfstudio_text(chosen, _sizes(poses, folder, size), files, output.parent)
+        note = "world: z up; depth and masks are not written"
+    outputs.write_parts(output, [text.encode()])
+    return (note,)
+
+
+def _write_colmap(
+    poses: PoseFile, output: Path, folder: Path, size: tuple[int, int] | None, overwrite: bool
+) -> tuple[str, ...]:
+    """A COLMAP text model without points."""
+    outputs.check_staged_folder(output)
+    for name in colmap_files({}, {}) if output.is_dir() else ():
+        outputs.check_output(output / name, overwrite)
+    chosen = {name: panorama.pose for name, panorama in poses.panoramas.items()}
+    sizes = _sizes(poses, folder, size)
     with outputs.staged_folder(output, overwrite=overwrite) as staged, outputs.write_errors(output):
         for name, text in colmap_files(chosen, sizes).items():
             (staged / name).write_text(text, encoding="utf-8")
@@ -107,12 +115,16 @@ def _gpano_tags(pose: Pose, placement: Placement, known: Set[str]) -> dict[str, 
     }  # fmt: skip
 
 
-def _size(path: Path, name: str, folder: Path, file: Path | None) -> tuple[int, int]:
-    """``(height, width)`` of the whole sphere of a panorama."""
-    if file is None:
+def _sizes(poses: PoseFile, folder: Path, size: tuple[int, int] | None) -> dict[str, tuple[int, int]]:
+    """``(height, width)`` of the whole sphere of every panorama: those of its file unless the user gave one."""
+    return {name: size or _size(poses.path, name, folder) for name in poses.panoramas}
+
+
+def _size(path: Path, name: str, folder: Path) -> tuple[int, int]:
+    if not (folder / name).is_file():
         found = f"expected the panorama '{name}' in '{folder}', for its size, got none"
         raise PoseError(f"{path}: {found}; name the folder (--images) or the size (--size)")
-    placement = placement_of(read_header(file))
+    placement = placement_of(read_header(folder / name))
     return placement.full_height, placement.full_width
 
 
