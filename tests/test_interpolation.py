@@ -12,7 +12,7 @@ import pytest
 
 from interpolation_samples import CHAIN, Hall, job_of, listing, use_ffmpeg, write_entries
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError
-from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import Panorama, read_depth, read_panorama, write_depth, write_image
@@ -255,6 +255,10 @@ def test_the_summary_says_how_high_the_cameras_stand_and_doubts_what_is_unusual(
         mean = height + 0.5 * (CHAIN[0].position[1] + CHAIN[1].position[1])
         assert summary.describe()["camera_heights"] == [{"first": 0, "metres": pytest.approx(mean, rel=0.02)}]
         assert any("which is unusual" in line for line in summary.lines()) != is_usual
+        found = replace(summary, plan=replace(summary.plan, job=pair.job(poses=POSES_FROM_PICTURES)))
+        baseline = float(np.linalg.norm(CHAIN[1].position - CHAIN[0].position))
+        advice = f"give --baseline {1.5 * baseline / mean:.2g}"
+        assert any(line.endswith(advice) for line in found.lines()) != is_usual
 
 
 def test_exr_frames_keep_what_eight_bits_would_round(tmp_path: Path, pair: Hall) -> None:

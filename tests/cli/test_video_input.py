@@ -9,6 +9,7 @@ import pytest
 
 from cli.cli_samples import Omnisyn, listing
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.interpolation import summary
 from omnisyn_cli.io import open_video, read_header
 from omnisyn_cli.io.video_frames import frames_of_video
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
@@ -46,10 +47,13 @@ def test_a_video_between_frames_of_a_video(
     temporary = tmp_path / "temporary"  # of its own: other tests run beside this one and clean up behind themselves
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setattr(summary, "CONFIDENCE_WORDS", ((1.1, "high"), (0.0, "low")))
     out = tmp_path / "out"
     out.mkdir()
     result = omnisyn.made("interpolate", video, "--every", "2s", "-o", out / "out.mp4", "--frames", 3,
                           "--size", "64x32", "--preset", "fast", "--threads", 2)  # fmt: skip
+    assert "to try: " in result.out
+    assert "omnisyn-frames-" not in result.out + result.err  # no command that names frames that are gone
     assert "16:9, taken for squeezed frames of a 360° video" in result.err
     assert list(listing(out)) == ["out.mp4"]
     assert not [name for name in listing(temporary) if "omnisyn-frames-" in name]

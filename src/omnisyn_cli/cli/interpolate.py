@@ -217,6 +217,7 @@ def interpolate(
         InterpolationJob(**given), plan_of, _load,
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
         expected=_expected, frames=lambda plan: len(plan.path), listen=compiled.append,
+        is_report_possible=every is None,
     )  # fmt: skip
     if summary is not None and not compiled:
         from omnisyn_cli.interpolation.planning.duration import remember_run

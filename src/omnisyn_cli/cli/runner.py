@@ -33,6 +33,7 @@ def run_job(
     expected: Callable[[P], Mapping[str, Any]] = lambda plan: {},
     frames: Callable[[P], int] = lambda plan: 0,
     listen: Callable[[str], None] = lambda note: None,
+    is_report_possible: bool = True,
 ) -> S | None:
     """Plan a job, print the plan and stop, or carry it out.
 
@@ -47,6 +48,7 @@ def run_job(
         expected: what else is said of the plan.
         frames: how many are made.
         listen: is told about kernels that are compiled.
+        is_report_possible: whether the panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
     from omnisyn_cli.io.locks import claimed
@@ -90,6 +92,6 @@ def run_job(
         print_json(summary.describe())
     elif not quiet:
         report(summary)
-        for line in summary.lines():
+        for line in summary.lines(is_report_possible=is_report_possible):
             say(line)
     return summary

@@ -62,13 +62,13 @@ def _described(plan: TourPlan, pair: PairSurfaces, score: PairConfidence, diagno
     matched = (diagnosis.matches.first, diagnosis.matches.second)
     first, second = pair.surfaces
     height = height_in_depth((first.view.pose, second.view.pose), (first.depth, second.depth))
-    verdict = list(TourSummary(plan, {}, {pair.index: score}).lines())[:2]  # the next one leads to this page
+    summary = TourSummary(plan, {}, {pair.index: score})
     return {
         "title": f"{diagnosis.first.name} and {diagnosis.second.name}",
         "lines": [
-            *verdict,
+            *summary.lines(is_report_possible=False),
             *diagnosis_sentences(diagnosis.diagnosis),
-            *([] if height is None else [camera_height_sentence(height)]),
+            *([] if height is None else [camera_height_sentence(height, summary.found_baseline)]),
         ],
         "views": [
             {

@@ -18,6 +18,7 @@ from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, is_plausible_camera_height
+from omnisyn_cli.synthesis.trajectory import path_length
 
 __all__ = ["Summary", "TourSummary"]
 
@@ -134,8 +135,12 @@ class TourSummary:
         described = {**self.plan.describe(), **self.results, "left_out": left_out}
         return {**described, "stages": stages, "confidence": self.confidence}
 
-    def lines(self) -> Iterator[str]:
-        """For people: what was left out, how far the worst pair can be relied on, where it is weakest, what to try."""
+    def lines(self, *, is_report_possible: bool = True) -> Iterator[str]:
+        """For people: what was left out, how far the worst pair can be relied on, where it is weakest, what to try.
+
+        Args:
+            is_report_possible: name the command that shows why; without it, as in that report itself.
+        """
         if self.left_out:
             shares = [f"{share:.1%} of {self.plan.job.images[k].name}" for k, share in sorted(self.left_out.items())]
             more = f" and {len(shares) - 2} more" if len(shares) > 2 else ""
@@ -150,7 +155,19 @@ class TourSummary:
         yield f"confidence: {word} ({worst.score:.2f}), weakest {self.place(index, weakest)}"
         if word != CONFIDENCE_WORDS[0][1]:
             yield f"to try: {', '.join(self._remedies(worst))} ({CONFIDENCE_PAGE})"
-            yield f"to see why: {shlex.join(self._report_command())}"
+            if is_report_possible:
+                yield f"to see why: {shlex.join(self._report_command())}"
+
+    @property
+    def found_baseline(self) -> float | None:
+        """Mean metres between neighbours that poses from the pictures were scaled to.
+
+        None for poses that were given, and where the floor gave the metres.
+        """
+        job = self.plan.job
+        if job.poses != POSES_FROM_PICTURES or job.camera_height is not None:
+            return None
+        return path_length([entry.pose for entry in self.plan.entries]) / (len(self.plan.entries) - 1)
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """Where that is, in words, for a direction half way between the panoramas of a pair."""
@@ -199,12 +216,12 @@ class Summary(TourSummary):
     plan: InterpolationPlan
     made: Made = field(default_factory=Made)
 
-    def lines(self) -> Iterator[str]:
+    def lines(self, *, is_report_possible: bool = True) -> Iterator[str]:
         """Also an unusual height of the cameras: distances are wrong then."""
-        yield from super().lines()
+        yield from super().lines(is_report_possible=is_report_possible)
         height = self.made.camera_height
         if height is not None and not is_plausible_camera_height(height):
-            yield camera_height_sentence(height)
+            yield camera_height_sentence(height, self.found_baseline)
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """The time in the video and the direction in its picture then."""

@@ -13,6 +13,9 @@ __all__ = ["camera_height_sentence", "diagnosis_sentences", "diagnosis_values", 
 PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)
 """Metres above the floor: from a tripod on the ground to the roof of a car."""
 
+EXPECTED_CAMERA_HEIGHT = 1.5
+"""Metres above the floor, of a camera on a tripod or in a raised hand."""
+
 MAX_ALTERNATIVES = 4
 """Further explanations that are printed; ``--json`` lists all."""
 
@@ -44,9 +47,19 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
     return sentences
 
 
-def camera_height_sentence(height: float) -> str:
-    """What a height in metres above the floor says about the distances between cameras."""
-    doubt = "" if is_plausible_camera_height(height) else ", which is unusual; are the distances in metres?"
+def camera_height_sentence(height: float, found_baseline: float | None = None) -> str:
+    """What a height in metres above the floor says about the distances between cameras.
+
+    Args:
+        height: by these distances.
+        found_baseline: mean distance of neighbours that poses from the pictures were scaled to; None for given poses.
+    """
+    doubt, advice = "", "are the distances in metres?"
+    if found_baseline is not None:
+        baseline = found_baseline * EXPECTED_CAMERA_HEIGHT / height
+        advice = f"if they were {EXPECTED_CAMERA_HEIGHT:g} m above it, give --baseline {baseline:.2g}"
+    if not is_plausible_camera_height(height):
+        doubt = f", which is unusual; {advice}"
     return f"by these distances, the cameras are {height:.2f} m above the floor{doubt}"
 
 
