@@ -11,6 +11,7 @@ import pytest
 
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.interpolation.planning import budget, duration
 from omnisyn_cli.interpolation.planning.budget import choose_preset
@@ -227,8 +228,17 @@ def test_runs_that_make_other_things_as_well_are_not_remembered(plan, tmp_path):
     for changes in ({"codec": "h265"}, {"save_depth": tmp_path / "d"}, {"output": tmp_path / "frames"}):
         other = replace(plan, job=replace(plan.job, **changes))
         remember_run(summary_of(other, 11.0, 2.0))
-        assert expected(other).source.endswith("of an MP4 by the usual encoder and nothing besides")
+        assert expected(other).source.endswith("for an MP4 by the default encoder alone")
     assert remembered_runs() == []
+
+
+def test_runs_whose_poses_were_found_in_the_pictures_count(plan):
+    """Their clock starts when the poses are there."""
+    long = chain_of(plan, 2, 92)
+    found = replace(long, job=replace(long.job, poses=POSES_FROM_PICTURES))
+    remember_run(summary_of(found, 22.0, 6.0))
+    assert expected(long) == expected(found)
+    assert expected(found).source == "by the pace of 1 former run on this machine"
 
 
 @pytest.mark.parametrize("text", ["", "{", "[{}]", '[{"threads": "x"}]'])

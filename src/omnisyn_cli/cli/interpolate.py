@@ -209,10 +209,11 @@ def interpolate(
 
             plan = apply_budget(plan, budget)
         check_device(plan.config)
+        begun.append(_processor_seconds())
         return plan
 
     compiled: list[str] = []
-    begin = _processor_seconds()
+    begun: list[float] = []  # when the poses are there
     summary = run_job(
         InterpolationJob(**given), plan_of, _load,
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
@@ -222,7 +223,7 @@ def interpolate(
     if summary is not None and not compiled:
         from omnisyn_cli.interpolation.planning.duration import remember_run
 
-        remember_run(summary, _processor_seconds() - begin)
+        remember_run(summary, _processor_seconds() - begun[-1])
 
 
 def _processor_seconds() -> float:

@@ -26,7 +26,6 @@ from pydantic import TypeAdapter
 
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import OmnisynError
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.planning.figures import Figures, read_table
 from omnisyn_cli.io.outputs import write_parts
@@ -128,7 +127,7 @@ class Duration:
         return f"about {range_in_words(*self.bounds)}"
 
     def __str__(self) -> str:
-        return f"{self.words}, {self.source}"
+        return f"{self.words} ({self.source})"
 
 
 def range_in_words(low: float, high: float) -> str:
@@ -184,9 +183,9 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
     source = (
         f"by the pace of {len(runs)} former run{'s' * (len(runs) > 1)} on this machine"
         if runs
-        else "a guess from figures of another machine; former runs on this one will make it better"
+        else "a guess from the speed of another machine, until this one has made videos"
     )
-    besides = "" if _is_standard(plan) else ", of an MP4 by the usual encoder and nothing besides"
+    besides = "" if _is_standard(plan) else "; for an MP4 by the default encoder alone"
     seconds = work.start * slowness + work.pairs * pairs + work.frames * frames
     return Duration(seconds, source + besides, max(map(_spread, known)))
 
@@ -219,11 +218,13 @@ def remember_run(summary: Summary, processor: float | None = None) -> None:
 
 
 def _is_standard(plan: InterpolationPlan) -> bool:
-    """Whether nothing is made besides the frames, and those are encoded as in the table."""
+    """Whether nothing is made besides the frames, and those are encoded as in the table.
+
+    Poses are found before the clock of a run starts.
+    """
     job = plan.job
     besides = (job.view, job.save_depth, job.save_confidence, job.save_frames, job.codec, job.encoder_preset)
-    has_poses_to_find = job.refine or job.poses == POSES_FROM_PICTURES
-    return all(each is None for each in besides) and job.output.suffix == ".mp4" and not has_poses_to_find
+    return all(each is None for each in besides) and job.output.suffix == ".mp4"
 
 
 def remembered_runs() -> list[Run]:
