@@ -130,7 +130,10 @@ def _pose_files(source: Path) -> list[Path]:
         return [here]
     below = sorted(folder / POSES_NAME for folder in source.iterdir() if (folder / POSES_NAME).is_file())
     if not below:
-        raise InputError(f"{source}: expected poses.json in the folder or in folders inside it, got none; add one")
+        raise InputError(
+            f"{source}: expected {POSES_NAME} in the folder or in folders inside it, got none; "
+            "estimate poses first (omnisyn poses estimate)"
+        )
     return below
 
 

@@ -113,6 +113,6 @@ def _said(summary: ExportSummary) -> str:
     elif plan.format == "splats":
         what = f"{summary.points:,} discs"
     elif plan.format in VIEWERS:
-        what = f"{summary.links:,} links"
+        what = f"{summary.links:,} link{'s' * (summary.links != 1)}"
     count = len(plan.entries)
     return f"{plan.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"

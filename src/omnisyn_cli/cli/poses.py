@@ -277,7 +277,8 @@ def estimate(
     so give the distance between neighbours, or the height of the cameras.
     """
     if bool(baselines) == (camera_height is not None):
-        raise click.UsageError("expected --baseline or --camera-height, got both or neither; give one")
+        given, remedy = ("both", "leave out one of them") if baselines else ("neither", "give one")
+        raise click.UsageError(f"expected --baseline or --camera-height, got {given}; {remedy}")
     from omnisyn_cli.io import check_output
     from omnisyn_cli.io.outputs import check_kept
     from omnisyn_cli.poses.estimation import estimate_poses

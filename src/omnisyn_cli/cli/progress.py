@@ -14,7 +14,7 @@ from omnisyn_cli.cli.terminal import printable, say
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-COMPILING_NOTE = "note: compiling the kernels, once per installation: about half a minute"
+COMPILING_NOTE = "note: compiling kernels for the first run of this kind: about half a minute"
 """Printed once, before the first run compiles."""
 
 MIN_BAR_SECONDS = 1.5

@@ -233,7 +233,9 @@ def check_is_file(path: Path) -> None:
         raise ImageError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
     try:
         if not path.is_file():
-            found = "a folder" if path.is_dir() else "a device or a pipe" if path.exists() else "no such file"
+            if path.is_dir():
+                raise ImageError(f"{path}: expected a file, got a folder; name the files in it")
+            found = "a device or a pipe" if path.exists() else "no such file"
             raise ImageError(f"{path}: expected a file, got {found}; check the name")
         if path.stat().st_size == 0:
             raise ImageError(f"{path}: expected an image, got an empty file; copy or export it anew")

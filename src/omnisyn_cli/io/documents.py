@@ -75,7 +75,7 @@ def read_text(
     except OSError as failure:
         raise error(f"{path}: expected {what}, got '{failure.strerror}'; check the name") from failure
     except ValueError as failure:
-        raise error(f"{path}: expected UTF-8 text, got '{failure}'; save the file as UTF-8") from failure
+        raise error(f"{path}: expected {what} in UTF-8, got '{failure}'; check name and encoding") from failure
 
 
 def read_file_itself(path: Path) -> bytes | None:

@@ -44,7 +44,7 @@ TEXTS = {
     "json nan": ("a.json", '{"frames": NaN}', r"a\.json: expected finite numbers, got NaN"),
     "ours": ("p.json", '{"version": 1, "panoramas": {}}', r"p\.json: expected poses of another program"),
     "unknown": ("a.txt", "1 2 3\n", r"a\.txt: .*got a first line of 3 fields; name the format with --format"),
-    "not text": ("a.txt", "\udcff", r"a\.txt: expected UTF-8"),
+    "not text": ("a.txt", "\udcff", r"a\.txt: expected a readable file in UTF-8"),
 }
 
 
