@@ -17,10 +17,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from omnisyn_cli.batch.schema import JOB_KEYS, OUTPUTS, Line, problem_sentences, read_lines
+from omnisyn_cli.batch.schema import JOB_KEYS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets
+from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES, InterpolationJob, targets
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
 from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, real_path

@@ -87,7 +87,7 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
         "models": {name: installed[name].sha256 if name in installed else None for name in named},
     }
-    companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
+    companions = (file for entry in entries for file in entry.companions)
     own_networks = (Path(name) for name in networks if _is_path(name))
     return settings, list(dict.fromkeys((*job.images, *job.masks, *companions, *own_networks)))
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob
+from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob
 from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
 
 MAX_MANIFEST_BYTES = 1 << 30
@@ -69,9 +69,6 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
         cells[key] = [name.strip() for name in cells[key].split(";")]
     return cells
 
-
-OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
-"""What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
 
 OPTIONAL_KEYS = ("scene", "poses", "group", *OUTPUTS)
 """What a line may name beside that."""

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
-from omnisyn_cli.geometry.pose import Pose, interpolate_pose
+from omnisyn_cli.geometry.pose import Pose, distance_between, interpolate_pose
 from omnisyn_cli.io import read_mask, read_panorama
 from omnisyn_cli.io.images import check_mask_size
 from omnisyn_cli.synthesis.synthesize import turned_panorama
@@ -74,18 +74,18 @@ class LoadedPair:
         if self.truths:
             return self.truths
         first, second = (view.pose for view in self.views)
-        distance = 0.5 * float(np.linalg.norm(second.position - first.position))
+        distance = 0.5 * distance_between(first, second)
         return (Target(HALF_WAY, Waypoint(0, 0.5, interpolate_pose(first, second, 0.5)), distance),)
 
 
 def baseline_of(pair: Pair) -> float:
     """Metres from the first to the second panorama."""
-    return float(np.linalg.norm(pair.second.pose.position - pair.first.pose.position))
+    return distance_between(pair.first.pose, pair.second.pose)
 
 
 def _share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
     """The share of the way by distance, d₁/(d₁ + d₂), and metres to the nearer panorama; ½ where both are here."""
-    d1, d2 = (float(np.linalg.norm(pose.position - end.pose.position)) for end in (pair.first, pair.second))
+    d1, d2 = (distance_between(end.pose, pose) for end in (pair.first, pair.second))
     return (d1 / (d1 + d2) if d1 + d2 > 0 else 0.5), min(d1, d2)
 
 

@@ -17,6 +17,7 @@ __all__ = [
     "SAME_POSITION_METRES",
     "Pose",
     "at_same_position",
+    "distance_between",
     "enu_from_geographic",
     "heading_from_rotation",
     "interpolate_pose",
@@ -75,9 +76,14 @@ class Pose:
         return bool(np.all(moved <= metres) and np.all(turned <= radians))
 
 
+def distance_between(first: Pose, second: Pose) -> float:
+    """Metres from one camera to the other."""
+    return float(np.linalg.norm(second.position - first.position))
+
+
 def at_same_position(first: Pose, second: Pose) -> bool:
     """Whether two panoramas were taken from one position, within :data:`SAME_POSITION_METRES`: no parallax."""
-    return bool(np.linalg.norm(second.position - first.position) <= SAME_POSITION_METRES)
+    return distance_between(first, second) <= SAME_POSITION_METRES
 
 
 def rotation_from_quaternion(quaternion: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:

@@ -18,8 +18,7 @@ from jaxtyping import Float, Float32, Shaped
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation.checks import OUTPUTS
-from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
+from omnisyn_cli.interpolation.job import OUTPUTS, InterpolationJob, TourJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary

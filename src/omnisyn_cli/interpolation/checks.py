@@ -6,7 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, TourJob, depth_files, reading_of, targets
+from omnisyn_cli.interpolation.job import (
+    CHOICES,
+    OUTPUTS,
+    InterpolationJob,
+    TourJob,
+    depth_files,
+    reading_of,
+    targets,
+)
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.depth_files import check_depth_header
@@ -24,9 +32,6 @@ SURFACE_FIELDS = (
     "save_depth", "view",
 )  # fmt: skip
 """Fields of a job that mean nothing to the methods that it is compared with."""
-
-OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
-"""Fields of a job that name what is written."""
 
 MAX_NADIR_RADIANS = math.radians(90.0)
 """A cap that is no hemisphere yet."""
@@ -197,5 +202,5 @@ def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]
     for place in (job.output, job.save_frames, job.save_confidence):
         if place is not None and is_sequence(place):
             outputs.extend(image_sequence(place).existing())
-    companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
+    companions = (file for entry in entries for file in entry.companions)
     check_kept(outputs, (*job.images, *job.masks, job.poses, *companions))

@@ -48,12 +48,16 @@ class PanoramaSurface:
 
     def samples(self, columns: int | None = None) -> UInt8[np.ndarray, "rows cols 3"]:
         """That in 8 bits, at most so many columns wide."""
-        picture = self.texture()
-        if picture.dtype != np.uint8:
-            picture = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
-        if columns is None or picture.shape[1] <= columns:
-            return picture
-        return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
+        return quantized_picture(self.texture(), columns)
+
+
+def quantized_picture(picture: np.ndarray, columns: int | None) -> UInt8[np.ndarray, "rows cols 3"]:
+    """A panorama, samples of 8 bits or RGB in [0, 1], in 8 bits and at most so many columns wide."""
+    if picture.dtype != np.uint8:
+        picture = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+    if columns is None or picture.shape[1] <= columns:
+        return picture
+    return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector, rotation_taking
+from omnisyn_cli.geometry.pose import Pose, distance_between, rotation_from_rotation_vector, rotation_taking
 from omnisyn_cli.geometry.sphere import FORWARD, UP, normalize
 from omnisyn_cli.io import MAX_PIXELS, read_panorama
 from omnisyn_cli.io.decode import check_is_file
@@ -326,7 +326,7 @@ def _scale(
     camera_height: float | None,
 ) -> tuple[float, str]:  # fmt: skip
     """Metres per unit, and where they come from."""
-    steps = [float(np.linalg.norm(world[b].position - world[a].position)) for a, b in pairwise(order)]
+    steps = [distance_between(world[a], world[b]) for a, b in pairwise(order)]
     mean = float(np.mean(steps)) or 1.0
     if camera_height is not None:
         heights = floor_heights(list(pairwise([_view(scans[k], world[k]) for k in order])))

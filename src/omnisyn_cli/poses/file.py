@@ -90,6 +90,11 @@ class PosedPanorama:
     caption: str = ""
     uncertainty: PoseUncertainty | None = None
 
+    @property
+    def companions(self) -> tuple[Path, ...]:
+        """Its depth and mask file, as far as there are any."""
+        return tuple(file for file in (self.depth, self.mask) if file is not None)
+
 
 @dataclass(frozen=True)
 class PoseFile:

@@ -98,6 +98,12 @@ class Mesh:
         """Quads that are drawn without cuts."""
         return np.asarray((self.quads & (CUT_EDGES | HOLE_FLAG)) == 0)
 
+    @property
+    def quarter_image(self) -> Float[np.ndarray, "quarter_rows quarter_cols"]:
+        """The confidence of quarters as they lie beside each other."""
+        rows, cols, _ = self.surface_confidence.shape
+        return self.surface_confidence.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
+
     @cached_property
     def cut_quads(self) -> Integer[np.ndarray, " cuts"]:
         """Flat indices of the drawn quads with at least one cut edge, ascending."""

@@ -42,12 +42,10 @@ class ConfidenceMap:
 
 def make_confidence_map(mesh: Mesh, texture: Texture) -> ConfidenceMap:
     """The confidence map of a mesh; the polar caps get the confidence of the quads beside them."""
-    rows, cols, _ = mesh.surface_confidence.shape
-    image = mesh.surface_confidence.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
     caps = (
         np.stack([mesh.surface_confidence[0, :, :2], mesh.surface_confidence[-1, :, 2:]]).min(axis=-1).repeat(2, axis=1)
     )
-    bordered = np.pad(np.concatenate([caps[:1], image, caps[1:]]), ((0, 0), (1, 0)), mode="wrap")
+    bordered = np.pad(np.concatenate([caps[:1], mesh.quarter_image, caps[1:]]), ((0, 0), (1, 0)), mode="wrap")
     layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
         scale, zero = texture.layout[0, offset : offset + 2]
@@ -72,7 +70,10 @@ class Shader:
     def __call__(
         self, inverse_depth: InverseDepth, confidence: ConfidenceMap, texture: Texture, target_from_source: Pose
     ) -> Float32[np.ndarray, "height width 4"]:
-        """Colour and weight of a surface; see :func:`shade`. The next call overwrites the result.
+        """Colour of a surface and, as fourth channel, alpha times its confidence; all 0 where nothing is seen.
+
+        Where the photograph is magnified it is read by Catmull-Rom interpolation. Where it is minified, two mip levels,
+        half a level finer than its footprint, are read bilinearly and mixed. The next call overwrites the result.
 
         Args:
             inverse_depth: 1/metre from the target's centre, negative where nothing is seen.

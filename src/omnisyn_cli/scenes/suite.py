@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, distance_between
 from omnisyn_cli.scenes.paths import sample_path
 from omnisyn_cli.scenes.scene import Scene
 
@@ -86,7 +86,7 @@ def wide_walk(kind: str, seed: int, scene: Scene) -> SuiteScene:
     except ValueError:
         return SuiteScene(kind, seed, 0.0, ())
     ends = _rounded(first), _rounded(last)
-    length = float(np.linalg.norm(ends[1].position - ends[0].position))
+    length = distance_between(*ends)
     return SuiteScene(kind, seed, round(length, 2), tuple(_evenly_spaced(ends, length)))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.geometry.pose import at_same_position
+from omnisyn_cli.geometry.pose import at_same_position, distance_between
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
 from omnisyn_cli.stereo.costs import is_textured
@@ -83,7 +83,7 @@ class MatchingDepthEstimator:
             view.check_shape()
         if at_same_position(first.pose, second.pose):
             return self._no_depth(), self._no_depth()
-        baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
+        baseline = distance_between(first.pose, second.pose)
         of_first, of_second = self.features(first, second)
         with limited_threads(self.threads):
             return both(

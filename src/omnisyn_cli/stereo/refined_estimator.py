@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.geometry.pose import at_same_position
+from omnisyn_cli.geometry.pose import at_same_position, distance_between
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import rotated_directions, window_max, window_min
 from omnisyn_cli.geometry.sweep import free_space_agreement, motion_in_baselines, neighbourhood_agreement
@@ -208,7 +208,7 @@ def _check_free_space(
     views: ViewPair, maps: InvDepthPair, features: tuple[StereoFeatures, StereoFeatures]
 ) -> EstimatePair:
     """Estimates in 1/metre: no confidence where masked, nor where the other panorama looks through the surface."""
-    baseline = _baseline(views)
+    baseline = distance_between(views[0].pose, views[1].pose)
 
     def estimate(own: int, other: int) -> DepthEstimate:
         inverse_depth, confidence = maps[own]
@@ -223,7 +223,7 @@ def _check_free_space(
 
 def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair) -> EstimatePair:
     """Both estimates; their confidence is lower where they disagree with each other around a pixel."""
-    baseline = np.float32(_baseline(views))
+    baseline = np.float32(distance_between(views[0].pose, views[1].pose))
 
     def confidence_lowered(own: int, other: int) -> DepthEstimate:
         own_map, other_map = (estimates[index].inverse_depth * baseline for index in (own, other))
@@ -232,10 +232,6 @@ def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair
         return replace(estimates[own], confidence=estimates[own].confidence * agreement)
 
     return _for_both_views(confidence_lowered)
-
-
-def _baseline(views: ViewPair) -> float:
-    return float(np.linalg.norm(views[1].pose.position - views[0].pose.position))
 
 
 def _for_both_views(estimate: Callable[[int, int], DepthEstimate]) -> EstimatePair:

@@ -160,20 +160,21 @@ def resized_to(image: np.ndarray, size: tuple[int, int], interpolation: int) -> 
 
 
 def _mesh_renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
-    depth, size = view.known_depth, view.image.shape[:2]
-    if depth is None:
-        raise ValueError("expected a view with its depth, got one without")
+    depth, size = _depth_of(view), view.image.shape[:2]
     image = view.image if view.image_uint8 is None else view.image_uint8  # as frames have it: kernels compile once
     return MeshRenderer(RendererInputs(image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads))
+
+
+def _depth_of(view: View) -> DepthEstimate:
+    if view.known_depth is None:
+        raise ValueError("expected a view with its depth, got one without")
+    return view.known_depth
 
 
 def _photo_and_other_surface(view: View, other_renderer: Renderer, other: View) -> tuple[Layer, Layer]:
     """The photograph of a view as a layer, and the other view's surface rendered at the same pose."""
     other_layer = _render_copy(other_renderer, view.pose.inverse() @ other.pose)
-    depth = view.known_depth
-    if depth is None:
-        raise ValueError("expected a view with its depth, got one without")
-    size = view.image.shape[:2]
+    depth, size = _depth_of(view), view.image.shape[:2]
     inverse_depth = resized_to(depth.inverse_depth, size, cv2.INTER_NEAREST)
     weight = np.maximum(resized_to(depth.confidence, size, cv2.INTER_NEAREST), MIN_PHOTO_WEIGHT)
     if view.mask is not None:

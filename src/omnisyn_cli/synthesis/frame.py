@@ -14,7 +14,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.geometry.perspective import pixels_per_radian
-from omnisyn_cli.geometry.pose import rotation_vector_from_rotation
+from omnisyn_cli.geometry.pose import distance_between, rotation_vector_from_rotation
 from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
@@ -74,7 +74,7 @@ class FusedFrame:
             return False
         angle = MAX_SHIFT_PIXELS / self.pixels_per_radian
         turned = np.linalg.norm(rotation_vector_from_rotation(before.pose.rotation.T @ waypoint.pose.rotation))
-        moved = np.linalg.norm(waypoint.pose.position - before.pose.position)
+        moved = distance_between(before.pose, waypoint.pose)
         if turned > angle or moved == 0.0:
             return bool(turned <= angle)
         return bool(turned + moved * self.nearest() <= angle)

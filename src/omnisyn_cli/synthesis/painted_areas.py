@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import solid_angles
@@ -162,7 +163,7 @@ def _keeps_its_place(areas: tuple[Mask, Mask], maps: tuple[NadirMap, NadirMap], 
         sample_nearest(area.astype(np.float32), each.directions) for area, each in zip(areas, maps, strict=True)
     )
     in_place = _overlap(first, second)
-    baseline = float(np.linalg.norm(views[1].pose.position - views[0].pose.position))
+    baseline = distance_between(views[0].pose, views[1].pose)
     for height in FLOOR_HEIGHTS:
         on_floor = _overlap(first, look_up(second, *ground_pixels(maps[0], views, float(height) * baseline)))
         is_far = height > GROUND_HEIGHTS[-1]

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, compare_windows
-from omnisyn_cli.geometry.pose import at_same_position
+from omnisyn_cli.geometry.pose import at_same_position, distance_between
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, direction_to_pixel, normalize, pixel_directions, solid_angles
 from omnisyn_cli.render.mesh import Cut
@@ -94,7 +94,7 @@ Depths = tuple[DepthEstimate, DepthEstimate]
 
 def is_enclosed(views: tuple[View, View], depths: Depths) -> bool:
     """Whether two views stand under a ceiling, so that a smooth surface around them can stand for the place."""
-    baseline = float(np.linalg.norm(views[1].pose.position - views[0].pose.position))
+    baseline = distance_between(views[0].pose, views[1].pose)
     shares = []
     for view, depth in zip(views, depths, strict=True):
         size = depth.inverse_depth.shape
@@ -184,7 +184,7 @@ def _common_surface(
 
 def _surface_samples(views: tuple[View, View], depths: Depths, reliability: list[np.ndarray]) -> SurfaceSamples:
     """The points that both views see, each by its reliability."""
-    middle, baseline = _middle(views), float(np.linalg.norm(views[1].pose.position - views[0].pose.position))
+    middle, baseline = _middle(views), distance_between(views[0].pose, views[1].pose)
     samples = []
     for view, depth, known in zip(views, depths, reliability, strict=True):
         inverse_depth = resized_to(depth.inverse_depth, SAMPLE_GRID, cv2.INTER_NEAREST)

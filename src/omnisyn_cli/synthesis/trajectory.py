@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, rotation_taking, slerp
+from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, distance_between, rotation_taking, slerp
 from omnisyn_cli.geometry.sphere import FORWARD
 
 __all__ = ["EASES", "HEADINGS", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
@@ -71,7 +71,7 @@ def plan_path(
 
 
 def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:
-    return np.array([np.linalg.norm(b.position - a.position) for a, b in pairwise(poses)])
+    return np.array([distance_between(a, b) for a, b in pairwise(poses)])
 
 
 def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, " frames"]:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, distance_between
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
 from omnisyn_cli.training.data import Augmentation, FeatureBatch, load_samples, save_samples, stack_fields, vary_colours
@@ -74,7 +74,7 @@ def _match_pair(
     """Both panoramas of a pair, photographed with different cameras."""
     colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
     first, second = estimator.features(View(colours[0], one[2]), View(colours[1], other[2]))
-    baseline = float(np.linalg.norm(one[2].position - other[2].position))
+    baseline = distance_between(other[2], one[2])
     sqrt_depths = [sqrt_inv_depth(x[1] * baseline) for x in (one, other)]
     return [
         FeatureSample(completion_channels(first, second), sqrt_depths[0], baseline),

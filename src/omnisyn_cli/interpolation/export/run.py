@@ -189,7 +189,7 @@ def plan_export(job: ExportJob) -> ExportPlan:
         check_empty_folder(output, job.overwrite)
     tour = plan_tour(job)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
-    companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
+    companions = (file for entry in tour.entries for file in entry.companions)
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
     if job.clips and not (name in VIEWERS and VIEWERS[name].plays_clips):
         players = [each for each, viewer in VIEWERS.items() if viewer.plays_clips]

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
@@ -14,6 +13,7 @@ from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_angle
 from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_angles, pixel_to_direction
+from omnisyn_cli.interpolation.surfaces import quantized_picture
 from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
 from omnisyn_cli.types import View
@@ -171,12 +171,7 @@ def photograph(view: View, columns: int) -> UInt8[np.ndarray, "rows cols 3"]:
     picture = usable_image(view, SynthesisOptions(view.image.shape[:2]))
     if view.shows_masked:
         picture = view.image if view.image_uint8 is None else view.image_uint8
-    if picture.dtype != np.uint8:
-        picture = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
-    columns = min(columns, MAX_REMAP_COLUMNS)
-    if picture.shape[1] <= columns:
-        return picture
-    return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
+    return quantized_picture(picture, min(columns, MAX_REMAP_COLUMNS))
 
 
 def levelled(

@@ -102,8 +102,7 @@ def confidence_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols
     """Square roots of trust in the quarters of quads, and in both caps as beside them; None where all of it is 1."""
     if (mesh.surface_confidence == 1.0).all():
         return None
-    rows, cols, _ = mesh.surface_confidence.shape
-    image = mesh.surface_confidence.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
+    image = mesh.quarter_image
     image = np.concatenate([image[:1], image, image[-1:]])
     return np.asarray(np.rint(255.0 * np.sqrt(image)), np.uint8)
 
