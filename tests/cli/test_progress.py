@@ -29,6 +29,8 @@ def test_without_a_terminal_every_stage_is_a_line_with_the_time(
     assert re.fullmatch(r"0\.1 s of 128x64 H\.264, 3 frames, (about .* s, )?\d\.\d GB of memory", lines[0])
     assert lines[1:] == ["reading panoramas (2)", "finding depth", "making frames (3)"]
     assert omnisyn.made(*folder_arguments(tmp_path, pair, "-q")).raw_err == ""
+    walk = omnisyn.made("view", *pair, "-o", tmp_path / "walk.html").raw_err
+    assert re.findall(r"^\[\d+:\d\d\] (.*)$", walk, re.MULTILINE)[1:] == [*lines[1:3], "writing"]
 
 
 def test_on_a_terminal_the_bars_of_all_stages_have_their_totals_from_the_start(

@@ -165,12 +165,18 @@ class Stages:
             self._bars.update(self._tasks[stage], completed=done)
 
     def time(self, clocked: str) -> None:
-        """The same by what a stopwatch times; depth of a pair is done when it is checked."""
+        """The same by what a stopwatch times; depth of a pair is done when it is checked.
+
+        What is written before all panoramas are read and all depth is found is not worth a word.
+        """
         if clocked == "check":
             self._pairs += 1
             self.show("depth", self._pairs)
         elif clocked in STAGE_OF_CLOCK:
-            self.show(STAGE_OF_CLOCK[clocked])
+            stage = STAGE_OF_CLOCK[clocked]
+            has_depth = "depth" not in self._begun or self._pairs >= self._totals.get("depth", 0)
+            if stage != "writing" or ("reading" in self._begun and has_depth):
+                self.show(stage)
 
     def compile(self, is_begun: bool) -> None:
         """Say that kernels are compiled, or what went on before."""
