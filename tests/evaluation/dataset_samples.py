@@ -16,6 +16,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+from synthesis_samples import as_bytes
 
 SIZE = (64, 128)
 HEADINGS = (0.0, 0.5, 2.0)
@@ -40,10 +41,6 @@ def shots(pitch: float = 0.0) -> tuple[Shot, ...]:
         pose = Pose(rotation_from_heading(heading, pitch * heading, -pitch * heading), place.position)
         made.append(Shot(*render_panorama(scene, pose, SIZE, supersample=2, threads=1), pose))
     return tuple(made)
-
-
-def as_bytes(image: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def write_millimetres(path: Path, depth: np.ndarray) -> None:

@@ -30,6 +30,10 @@ def shade(
     return shader(inverse_depth, make_confidence_map(mesh, texture), texture, target_from_source)
 
 
+def noise(height: int, width: int) -> np.ndarray:
+    return np.random.default_rng(20).random((height, width, 3)).astype(np.float32)
+
+
 def rough(height: int, width: int, seed: int = 0) -> np.ndarray:
     """Inverse depths with large steps everywhere, a third of them at infinity."""
     rng = np.random.default_rng(seed)

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from render_samples import POSES, WHOLE, moved, rough, shade, smooth, turn
+from render_samples import POSES, WHOLE, moved, noise, rough, shade, smooth, turn
 
 from omnisyn_cli.compute.trigonometry import ATAN2_ERROR, atan2_fast
 from omnisyn_cli.geometry.pose import Pose
@@ -12,10 +12,6 @@ from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-
-
-def noise(height: int, width: int) -> np.ndarray:
-    return np.random.default_rng(20).random((height, width, 3)).astype(np.float32)
 
 
 def shaded(image: np.ndarray, rho: np.ndarray, pose: Pose, size: tuple[int, int], threads: int = 1) -> np.ndarray:

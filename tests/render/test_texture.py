@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
+from render_samples import noise
 
 from omnisyn_cli.render.texture import make_texture
-
-
-def noise(height: int, width: int) -> np.ndarray:
-    return np.random.default_rng(20).random((height, width, 3)).astype(np.float32)
 
 
 def test_the_first_level_is_the_image_with_a_wrapped_border():

@@ -10,21 +10,27 @@ from omnisyn_cli.training.data import TrainingScene, save_scene
 
 
 def ball_scene(seed=0, size=(64, 128), along=(0.0, 0.4, 1.0), radius=2.0):
-    """Views from the zenith axis, off centre; the wall's colours are waves in space."""
+    """Views from the zenith axis, off centre."""
     rng = np.random.default_rng(seed)
     centre = np.array([*rng.uniform(-0.5, 0.5, 3)]) + np.array([0.0, 0.5, 0.0])
+    views = ball_views([(0.0, height, 0.0) for height in along], centre, radius, size, rng)
+    return TrainingScene(*views, np.array(along, dtype=np.float32))
+
+
+def ball_views(positions, centre, radius, size, rng):
+    """Pictures and inverse depths from within a ball; the wall's colours are waves in space."""
     waves, phases = rng.normal(0.0, 2.5, (3, 4, 3)), rng.uniform(0, 2 * math.pi, (3, 4))
     directions = pixel_directions(*size)
     images, inverse_depths = [], []
-    for height in along:
-        offset = np.array([0.0, height, 0.0]) - centre
+    for position in np.array(positions, np.float64):
+        offset = position - centre
         slope = directions @ offset
         depth = -slope + np.sqrt(slope**2 - offset @ offset + radius**2)
         points = offset + depth[..., None] * directions
         colours = 0.5 + 0.12 * np.sin(np.einsum("hwi,cki->hwck", points, waves) + phases).sum(axis=-1)
         images.append((colours.clip(0, 1) * 255 + 0.5).astype(np.uint8))
         inverse_depths.append(1.0 / depth)
-    return TrainingScene(np.stack(images), np.stack(inverse_depths), np.array(along, dtype=np.float32))
+    return np.stack(images), np.stack(inverse_depths)
 
 
 def make_pool(folder, scenes=2, **options):

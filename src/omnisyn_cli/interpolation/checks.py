@@ -16,7 +16,6 @@ from omnisyn_cli.interpolation.job import (
     targets,
 )
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
-from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size
 from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder, real_path
@@ -51,12 +50,6 @@ def check_names(job: TourJob) -> None:
             raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
     for target in outputs:
         check_name(target)
-
-
-def check_images(images: Iterable[Path]) -> None:
-    """Refuse (ImageError) panoramas that are no files, before a pose file is asked about their names."""
-    for image in images:
-        check_is_file(image)
 
 
 def check_choices(job: TourJob) -> None:

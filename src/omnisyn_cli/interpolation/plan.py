@@ -23,6 +23,7 @@ from omnisyn_cli.interpolation.planning.memory import (
     fuses_chain_depth,
 )
 from omnisyn_cli.io import read_header
+from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.images import is_squeezed
@@ -282,7 +283,8 @@ def plan_tour(
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
     checks.check_names(job)
     checks.check_choices(job)
-    checks.check_images(job.images)
+    for image in job.images:  # before a pose file is asked about their names
+        check_is_file(image)
     job, pose_file, remarks = _posed(job)
     check_names_tell_apart(job.images, pose_file)
     entries = tuple(pose_file.of(image) for image in job.images)

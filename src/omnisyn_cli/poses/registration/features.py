@@ -175,12 +175,20 @@ def band_table(size: tuple[int, int], axis: int) -> tuple[RemapTable, int, int]:
 
     The next panorama needs the same; who has read the last one calls ``cache_clear``.
     """
+    directions, top, wrap = band_directions(size, BAND_LATITUDE + BAND_MARGIN)
+    return RemapTable.for_directions(directions @ CAMERA_FROM_BAND[axis].T, size), top, wrap
+
+
+def band_directions(size: tuple[int, int], latitude: float) -> tuple[Float[np.ndarray, "rows cols 3"], int, int]:
+    """Of pixels up to a latitude on both sides of the equator; the first row, and the columns repeated on both sides.
+
+    These are 22.5° wide, so that the seam has no features of its own.
+    """
     height, width = size
-    edge, _ = angles_to_pixel(0.0, math.acos(math.sin(BAND_LATITUDE + BAND_MARGIN)), size)
-    top, wrap = max(math.floor(edge), 0), width // 16  # 22.5°, so that the seam has no features of its own
+    edge, _ = angles_to_pixel(0.0, math.acos(math.sin(latitude)), size)
+    top, wrap = max(math.floor(edge), 0), width // 16
     row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
-    direction = pixel_to_direction(row.astype(float), col.astype(float), size) @ CAMERA_FROM_BAND[axis].T
-    return RemapTable.for_directions(direction, size), top, wrap
+    return pixel_to_direction(row.astype(float), col.astype(float), size), top, wrap
 
 
 def detect_sift(

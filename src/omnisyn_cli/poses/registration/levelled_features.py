@@ -20,10 +20,11 @@ from jaxtyping import Bool, Float, UInt8
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.pose import rotation_taking
 from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, pixel_scale, pixel_to_direction
+from omnisyn_cli.geometry.sphere import UP, pixel_scale, pixel_to_direction
 from omnisyn_cli.poses.registration.features import (
     Features,
     Matches,
+    band_directions,
     detect_sift,
     match_features,
     strongest_features,
@@ -90,12 +91,9 @@ def match_levelled_features(first: LevelledFeatures, second: LevelledFeatures) -
 
 
 def _walls(grey: np.ndarray, level_from_camera: np.ndarray, squeeze: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    height, width = size = (grey.shape[0], grey.shape[1])
-    edge, _ = angles_to_pixel(0.0, math.acos(math.sin(WALL_LATITUDE)), size)
-    top, wrap = max(math.floor(edge), 0), width // 16
-    row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
-    directions = pixel_to_direction(row.astype(float), col.astype(float), size) @ level_from_camera
-    band = RemapTable.for_directions(directions, grey.shape).bilinear(grey)
+    _, width = size = (grey.shape[0], grey.shape[1])
+    directions, top, wrap = band_directions(size, WALL_LATITUDE)
+    band = RemapTable.for_directions(directions @ level_from_camera, grey.shape).bilinear(grey)
     narrow = cv2.resize(band, (band.shape[1] // squeeze, band.shape[0]), interpolation=cv2.INTER_AREA)
     place, descriptor, response = detect_sift(narrow)
     col = (place[:, 0] + 0.5) * (band.shape[1] / narrow.shape[1]) - 0.5 - wrap
