@@ -57,7 +57,8 @@ def disturbed_file(tour: Path, path: Path) -> Path:
 
 
 def test_right_poses_fit_pair_by_pair(tour: Path, omnisyn: Omnisyn) -> None:
-    result = omnisyn.quiet("poses", "check", *images(tour, 3), "--poses", tour / "poses.json", "--threads", 2)
+    """Those beside the pictures, where nothing else is named."""
+    result = omnisyn.quiet("poses", "check", *images(tour, 3), "--threads", 2)
     assert "a.png and b.png: the poses fit\n" in result.out
     assert "b.png and c.png: the poses fit\n" in result.out
 
@@ -148,6 +149,7 @@ REFUSED = {
     "one panorama": (("estimate", "a.png", "--baseline", 1), "expected two or more panoramas"),
     "one twice": (("estimate", "a.png", "a.png", "--baseline", 1), "expected every panorama once"),
     "baselines": (("estimate", "a.png", "b.png", "--baseline", 1, "--baseline", 2), "expected one baseline"),
+    "no poses": (("refine", "nowhere/a.png", "b.png"), "beside"),
     "no entry": (("refine", "a.png", "blank.png", "--poses", "poses.json"), "expected an entry for 'blank.png'"),
     "over the input": (
         ("refine", "a.png", "b.png", "--poses", "poses.json", "-o", "poses.json", "--overwrite"), "not overwritten",

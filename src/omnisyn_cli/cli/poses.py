@@ -47,8 +47,9 @@ ROLL_DIRECTIONS = ("counter-clockwise", "clockwise")
 
 images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
 poses_option = click.option(
-    "--poses", required=True, type=FilePath(), help="JSON file with the poses of the panoramas."
-)
+    "--poses", type=FilePath(),
+    help="JSON file with the poses of the panoramas.  [default: poses.json beside the pictures]",
+)  # fmt: skip
 output_option = click.option("-o", "--output", required=True, type=FilePath(), help="Pose file to write.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 picture_options = all_of(
@@ -188,7 +189,7 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
 @picture_options
 @outside_option
 @json_option("the measurements")
-def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: bool, **options: Any) -> None:
+def check(images: tuple[Path, ...], poses: Path | None, allow_outside: bool, as_json: bool, **options: Any) -> None:
     """Check whether poses fit the pictures, and name the mistake if not.
 
     The command matches points of neighbouring panoramas and compares them with the poses. It cannot check distances,
@@ -203,7 +204,7 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
     )
 
     does_fit, values = True, []
-    pose_file = read_poses(poses, allow_outside=allow_outside)
+    pose_file = read_poses(poses or _poses_beside(images), allow_outside=allow_outside)
     for pair in check_poses(images, pose_file, _picture_options(**options)):
         does_fit &= pair.diagnosis.verdict not in ("mistake", "contradiction")
         height = pair.camera_height()
@@ -230,7 +231,7 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
 @outside_option
 @quiet_option
 def refine(
-    images: tuple[Path, ...], poses: Path, output: Path, overwrite: bool, allow_outside: bool, quiet: bool,
+    images: tuple[Path, ...], poses: Path | None, output: Path, overwrite: bool, allow_outside: bool, quiet: bool,
     **options: Any,
 ) -> None:  # fmt: skip
     """Correct rotations and directions of poses that nearly fit.
@@ -243,6 +244,7 @@ def refine(
     from omnisyn_cli.poses.estimation import refine_poses
     from omnisyn_cli.poses.file import check_companions_named, read_poses, write_poses
 
+    poses = poses or _poses_beside(images)
     pose_file = read_poses(poses, allow_outside=allow_outside)
     check_output(output, overwrite)
     check_kept([output], (poses, *images))
@@ -291,6 +293,20 @@ def estimate(
     )
     write_poses(output, found.panoramas, links=found.links)
     _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], output, quiet)
+
+
+def _poses_beside(images: Sequence[Path]) -> Path:
+    """The pose file beside the first panorama; InputError: there is none."""
+    from omnisyn_cli.errors import InputError
+    from omnisyn_cli.poses.file import POSES_NAME
+
+    beside = images[0].parent / POSES_NAME
+    if not beside.is_file():
+        raise InputError(
+            f"expected --poses, or a {POSES_NAME} beside {images[0]}, got neither; name the pose file (--poses FILE), "
+            "or have poses found (omnisyn poses estimate)"
+        )
+    return beside
 
 
 def _picture_options(
