@@ -95,8 +95,8 @@ class FrameRate(FiniteRange):
 class FilePath(click.Path):
     """A file or folder. ``Path`` takes an empty name, as of a variable that the shell has not set, for this folder."""
 
-    def __init__(self, *, exists: bool = False, file_okay: bool = True, dir_okay: bool = True) -> None:
-        super().__init__(exists, file_okay, dir_okay, path_type=Path)
+    def __init__(self, *, file_okay: bool = True, dir_okay: bool = True) -> None:
+        super().__init__(file_okay=file_okay, dir_okay=dir_okay, path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The path."""

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -135,41 +137,53 @@ def _rows_of_desks(build: SceneBuilder, cell: Cell, occupied: OccupiedDisks) -> 
 
 
 def _place_on_floor(build: SceneBuilder, cell: Cell, use: str, occupied: OccupiedDisks) -> None:
-    """Stand a table with chairs, an armchair, a column or a person somewhere on the floor."""
+    """Stand something on the floor: of :func:`_floor_items`, the first that the dice allow and that finds room."""
     rng = build.rng
     low, high = cell.low, cell.high
     x, z = rng.uniform(low[0] + 0.9, high[0] - 0.9), rng.uniform(low[1] + 0.9, high[1] - 0.9)
-    choice, yaw = rng.random(), rng.uniform(-math.pi, math.pi)
-    base = (x, 0.0, z)
-    if choice < 0.45 and _is_free(occupied, x, z, 1.15):
-        yaw = float(rng.choice([0.0, 0.5 * math.pi])) + rng.normal(0, 0.06)
-        half = (rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.5))
-        local = LocalFrame(build, base, yaw)
-        furniture.table(local, half)
-        seat = furniture.office_chair if use == "office" and rng.random() < 0.5 else furniture.chair
-        for side in (-1.0, 1.0):
-            for place in (-0.5, 0.5):
-                if rng.random() < 0.7:
-                    spot = local.place(place * half[0], 0.0, side * (half[1] + rng.uniform(0.05, 0.3)))
-                    seat(LocalFrame(build, spot, yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)))
-    elif choice < 0.6 and _is_free(occupied, x, z, 0.55):
-        furniture.armchair(LocalFrame(build, base, yaw))
-    elif choice < 0.7 and _is_free(occupied, x, z, 0.4):
-        furniture.chair(LocalFrame(build, base, yaw))
-    elif choice < 0.78 and _is_free(occupied, x, z, 0.4):
-        props.person(build, base)
-    elif choice < 0.86 and _is_free(occupied, x, z, 0.35):
-        goods.carton_pile(LocalFrame(build, base, yaw))
-    elif choice < 0.93 and _is_free(occupied, x, z, 0.4):
-        plaster = Material(Pattern.PLAIN, pick(rng, palette.INTERIOR), grain=0.08)
-        if rng.random() < 0.5:
-            build.pole(base, cell.height, rng.uniform(0.1, 0.25), plaster)
-        else:
-            half_wide = rng.uniform(0.1, 0.25)
-            build.add(Shape.BOX, (x, 0.5 * cell.height, z), (half_wide, 0.5 * cell.height, half_wide), plaster)
-    elif cell.height > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
-        local = LocalFrame(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
-        furniture.stairs(local, int(rng.integers(4, 12)))
+    dice, local = rng.random(), LocalFrame(build, (x, 0.0, z), rng.uniform(-math.pi, math.pi))
+    for limit, radius, add in _floor_items(cell, use):
+        if dice < limit and _is_free(occupied, x, z, radius):
+            add(local)
+            return
+    if cell.height > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
+        turned = replace(local, yaw=float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
+        furniture.stairs(turned, int(rng.integers(4, 12)))
+
+
+def _floor_items(cell: Cell, use: str) -> tuple[tuple[float, float, FurnitureMaker], ...]:
+    """What stands freely: limit of the dice, radius in metres, and what adds it."""
+    return (
+        (0.45, 1.15, partial(_table_with_chairs, use=use)),
+        (0.6, 0.55, furniture.armchair),
+        (0.7, 0.4, furniture.chair),
+        (0.78, 0.4, lambda local: props.person(local.build, local.base)),
+        (0.86, 0.35, goods.carton_pile),
+        (0.93, 0.4, partial(_column, height=cell.height)),
+    )
+
+
+def _table_with_chairs(local: LocalFrame, use: str) -> None:
+    rng = local.build.rng
+    local = replace(local, yaw=float(rng.choice([0.0, 0.5 * math.pi])) + rng.normal(0, 0.06))
+    half = (rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.5))
+    furniture.table(local, half)
+    seat = furniture.office_chair if use == "office" and rng.random() < 0.5 else furniture.chair
+    for side, turn in ((-1.0, 0.0), (1.0, math.pi)):
+        for place in (-0.5, 0.5):
+            if rng.random() < 0.7:
+                spot = local.place(place * half[0], 0.0, side * (half[1] + rng.uniform(0.05, 0.3)))
+                seat(LocalFrame(local.build, spot, local.yaw + turn + rng.normal(0, 0.25)))
+
+
+def _column(local: LocalFrame, height: float) -> None:
+    build, (x, _, z) = local.build, local.base
+    plaster = Material(Pattern.PLAIN, pick(build.rng, palette.INTERIOR), grain=0.08)
+    if build.rng.random() < 0.5:
+        build.pole(local.base, height, build.rng.uniform(0.1, 0.25), plaster)
+    else:
+        half_wide = build.rng.uniform(0.1, 0.25)
+        build.add(Shape.BOX, (x, 0.5 * height, z), (half_wide, 0.5 * height, half_wide), plaster)
 
 
 def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
