@@ -99,6 +99,7 @@ def test_a_dry_run_writes_nothing_and_says_what_would_be(walk: list[Path], tmp_p
     plan = omnisyn.json(*words(walk, tmp_path / "x.ply", "--format", "splats", "--dry-run"))
     assert (plan["format"], plan["depth"], plan["sky"], plan["stride"]) == ("splats", "file", True, 1)
     assert plan["memory_mib"] > 100
+    assert "sky: yes\n" in omnisyn.made(*words(walk, tmp_path / "x.ply", "--format", "splats", "--dry-run")).out
     assert not (tmp_path / "x.ply").exists()
 
 

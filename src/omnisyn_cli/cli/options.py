@@ -215,5 +215,6 @@ def print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
     say(sentence)
     for key, value in values.items():
         shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        shown = ("no", "yes")[value] if isinstance(value, bool) else shown
         if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
             say(f"{key.replace('_', ' '):>18}: {shown}")

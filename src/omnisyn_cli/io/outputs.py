@@ -182,7 +182,8 @@ def check_empty_folder(folder: Path, overwrite: bool) -> None:
     check_staged_folder(folder)
     if not overwrite and folder.is_dir() and set(folder.iterdir()) - set(abandoned(folder)):
         raise OutputPathError(
-            f"{folder}: expected a new or empty folder, got files in it; choose another (--overwrite)"
+            f"{folder}: expected a new or empty folder, got files in it; choose another, or replace an earlier output "
+            "(--overwrite)"
         )
 
 
