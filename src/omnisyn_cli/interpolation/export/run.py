@@ -191,12 +191,13 @@ def plan_export(job: ExportJob) -> ExportPlan:
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     companions = (file for entry in tour.entries for file in entry.companions)
     check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
-    if job.clips and not (name in VIEWERS and VIEWERS[name].plays_clips):
-        players = [each for each, viewer in VIEWERS.items() if viewer.plays_clips]
+    viewer = VIEWERS.get(name)
+    if job.clips and (viewer is None or not viewer.plays_clips):
+        players = [each for each, other in VIEWERS.items() if other.plays_clips]
         raise InputError(f"expected clips with {listed(players)}, got {name}; leave them out (--clips)")
-    notes, has_depth = list(tour.notes), name not in VIEWERS or VIEWERS[name].has_depth
-    if name in VIEWERS:
-        notes.append(f"the viewer is not part of the site, get it: {VIEWERS[name].advice(output)}")
+    notes, has_depth = list(tour.notes), viewer is None or viewer.has_depth
+    if viewer is not None:
+        notes.append(f"the viewer is not part of the site, get it: {viewer.advice(output)}")
         lonely = [panorama.name for panorama in tour.tour.panoramas if not tour.tour.neighbours[panorama.name]]
         if has_depth and lonely:
             raise InputError(f"expected links to every panorama, got none to {listed(lonely)}; add some (tour.json)")

@@ -49,22 +49,19 @@ def rotations_by_neighbours(
     }
     found = dict(known)
     _carry_on(found, relative)
-    carried, spread = [name for name in positions if name in found and name not in known], []
+    carried, errors = [name for name in positions if name in found and name not in known], []
     for name in positions:
-        if name not in found:
-            group = {name: held[name]}
-            _carry_on(group, relative)
-            if (laid := _laid_on_track(group, relative, positions)) is not None:
-                turn, error = laid
-                found |= {member: turn @ rotation for member, rotation in group.items()}
-                carried += list(group)
-                spread.append(error)
+        if name not in found and (laid := _laid_on_track({name: held[name]}, relative, positions)) is not None:
+            group, error = laid
+            found |= group
+            carried += list(group)
+            errors.append(error)
     left = [name for name in positions if name not in found]
     travel = {name: way for name in left if (way := _along_track(name, positions)) is not None}
     found |= {name: way @ held[name] for name, way in travel.items()}
     notes = []
     if carried:
-        fits = f"; they fit the track of the positions within {math.degrees(max(spread)):.0f}°" if spread else ""
+        fits = f"; they fit the track of the positions within {math.degrees(max(errors)):.0f}°" if errors else ""
         notes.append(f"headings: those of {listed(carried)} come from the pictures{fits}")
     if travel:
         notes.append(
@@ -109,8 +106,12 @@ def _carry_on(rotations: Rotations, relative: Mapping[tuple[str, str], Pose]) ->
 
 def _laid_on_track(
     group: Rotations, relative: Mapping[tuple[str, str], Pose], positions: Mapping[str, np.ndarray]
-) -> tuple[np.ndarray, float] | None:
-    """The turn about the vertical that makes directions in the pictures fit the way, and by how much they miss it."""
+) -> tuple[Rotations, float] | None:
+    """Rotations of a group and all compared with it; the largest angle by which directions in pictures miss the way.
+
+    One turn about the vertical makes them fit best. None where nobody has moved.
+    """
+    _carry_on(group, relative)
     pairs = [pair for pair in relative if pair[0] in group and pair[1] in group]
     ways = np.array([positions[b] - positions[a] for a, b in pairs]).reshape(-1, 3)[:, [0, 2]]
     seen = np.array([group[pair[0]] @ relative[pair].position for pair in pairs]).reshape(-1, 3)[:, [0, 2]]
@@ -120,7 +121,8 @@ def _laid_on_track(
     turn = math.atan2(sine, cosine)
     across = np.arctan2(ways[:, 0] * seen[:, 1] - ways[:, 1] * seen[:, 0], (ways * seen).sum(axis=1)) - turn
     errors = np.abs((across + math.radians(180.0)) % math.radians(360.0) - math.radians(180.0))
-    return rotation_from_heading(-turn), float(errors.max())
+    about_vertical = rotation_from_heading(-turn)
+    return {name: about_vertical @ rotation for name, rotation in group.items()}, float(errors.max())
 
 
 def _along_track(name: str, positions: Mapping[str, np.ndarray]) -> np.ndarray | None:
