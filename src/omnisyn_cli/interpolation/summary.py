@@ -103,6 +103,9 @@ class TourSummary:
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
     """What to do about a doubtful pair."""
 
+    last_remedy: ClassVar[str] = "--fallback crossfade"
+    """The same in the words of the summary, where nothing else helps."""
+
     @property
     def results(self) -> dict[str, Any]:
         """What was made, as plain values."""
@@ -184,15 +187,15 @@ class TourSummary:
         return ["omnisyn", "info", *map(str, job.images), *more, "--report", "report.html"]
 
     def _remedies(self, pair: PairConfidence) -> Iterator[str]:
+        if pair.depth_disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
+            yield "omnisyn poses check"
         if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and not self.plan.job.nadir:
             yield "--nadir 25 if a tripod shows"
         if pair.inconsistency > MAX_GOOD_SHARE:
             yield "--mask for people and things that moved"
-        if pair.depth_disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
-            yield "omnisyn poses check"
         yield "panoramas closer together"
         if pair.score < MIN_PAIR_SCORE and self.plan.config.fallback in ("none", "soft"):
-            yield "--fallback crossfade"
+            yield self.last_remedy
 
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""

@@ -167,6 +167,7 @@ class ExportSummary(TourSummary):
     links: int = 0
 
     advice: ClassVar[str] = "name depth files in the poses"
+    last_remedy: ClassVar[str] = "depth files in the poses"
 
     @property
     def results(self) -> dict[str, Any]:
