@@ -370,13 +370,9 @@ def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
         name
         for method in methods
         for name in (method.name, f"{method.name}:{TOUR_PARAMETER}")
-        if name == method.name or _can_be_in_tour(method)
+        if name == method.name or (method.config.estimates_depth and not method.is_in_tour)
     )
     return [find_method(name) for name in asked]
-
-
-def _can_be_in_tour(method: ComparedMethod) -> bool:
-    return method.config.estimates_depth and not method.is_in_tour
 
 
 def find_methods(text: str) -> list[ComparedMethod]:

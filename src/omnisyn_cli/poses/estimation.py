@@ -329,7 +329,8 @@ def _scale(
     steps = [distance_between(world[a], world[b]) for a, b in pairwise(order)]
     mean = float(np.mean(steps)) or 1.0
     if camera_height is not None:
-        heights = floor_heights(list(pairwise([_view(scans[k], world[k]) for k in order])))
+        views = [View(scans[k].small, world[k], scans[k].usable) for k in order]
+        heights = floor_heights(list(pairwise(views)))
         if not heights:
             raise PoseError(
                 "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "
@@ -348,10 +349,6 @@ def _scale(
     length = baselines[0] if baselines else DEFAULT_BASELINE
     said = "as given" if baselines else "as pictures do not tell how far (--baseline)"
     return length / mean, f"neighbours are taken to be {length:g} m apart{' on average' * (len(steps) > 1)}, {said}"
-
-
-def _view(scan: Scan, pose: Pose) -> View:
-    return View(scan.small, pose, scan.usable)
 
 
 def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
