@@ -130,6 +130,8 @@ class Size(SizeType):
         width, _, height = str(value).lower().partition("x")
         if self._is_free and width.isdecimal() and height.isdecimal() and int(width) * int(height) > 0:
             return int(height), int(width)
+        if self._is_free:
+            self.fail(f"expected WIDTHxHEIGHT, such as 2048x1024 or a flat 1920x1080, got {value!r}", param, ctx)
         try:
             return frame_size(str(value))
         except ValueError as error:
