@@ -7,9 +7,9 @@ import pytest
 from stereo_samples import OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.stereo.depth_sizes import matching_rows, refinement_sizes
 from omnisyn_cli.stereo.matching_estimator import MatchingOptions
-from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.stereo.refined_estimator import refine_depth_at_size
 from omnisyn_cli.types import View
 

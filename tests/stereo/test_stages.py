@@ -5,6 +5,7 @@ import pytest
 from stereo_samples import OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo.costs import (
     CENSUS_NOISE,
@@ -17,7 +18,7 @@ from omnisyn_cli.stereo.costs import (
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
-from omnisyn_cli.stereo.rectify import rectify, resize_area
+from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _smoothed_support

@@ -16,6 +16,7 @@ from jaxtyping import Bool
 
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose, distance_between, rotation_from_rotation_vector, rotation_taking
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import FORWARD, UP, normalize
 from omnisyn_cli.io import MAX_PIXELS, read_panorama
 from omnisyn_cli.io.decode import check_is_file
@@ -42,7 +43,6 @@ from omnisyn_cli.poses.registration.pose_graph import (
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 from omnisyn_cli.poses.registration.scan import Scan, forget_tables, likeness, register_pair, scan_panorama
 from omnisyn_cli.poses.tour import links_between
-from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.types import View
 
 __all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "refine_poses"]

@@ -18,11 +18,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import filter_across_seam, rotated_directions, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, solid_angles
 from omnisyn_cli.geometry.sweep import forward_frame
 from omnisyn_cli.stereo.depth_prior import MIN_CONFIDENCE, MIN_SQRT_INV_DEPTH, DepthPrior
-from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair, resize_area
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
 from omnisyn_cli.types import View
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.pose import at_same_position, distance_between
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
 from omnisyn_cli.stereo.costs import is_textured
@@ -29,7 +30,7 @@ from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import sweep_directions, sweep_planes
-from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
 from omnisyn_cli.stereo.surface_labels import CandidatePlanes, label_surfaces

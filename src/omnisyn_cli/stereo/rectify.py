@@ -8,13 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, partial
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.compute.threads import both
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.resize import MIN_USABLE_SHARE, resize_area, resize_mask
 from omnisyn_cli.geometry.sampling import rotated_directions, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_angles
 from omnisyn_cli.geometry.sweep import epipole_frame, swap_cameras_in_epipole_frame
@@ -22,13 +22,10 @@ from omnisyn_cli.stereo.depth_prior import DepthPrior, DisparityPrior
 from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.types import View
 
-__all__ = ["rectify", "resize_area"]
+__all__ = ["rectify"]
 
 HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
-
-MIN_USABLE_SHARE = 0.99
-"""Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +87,7 @@ class RectifiedPair:
         """The same pair, reduced to ``size = (height, width)``."""
         if size == self.size:
             return self
-        first_usable, second_usable = (
-            resize_area(usable.astype(np.float32), size) > MIN_USABLE_SHARE
-            for usable in (self.first_usable, self.second_usable)
-        )
+        first_usable, second_usable = (resize_mask(usable, size) for usable in (self.first_usable, self.second_usable))
         return RectifiedPair(
             resize_area(self.first, size),
             resize_area(self.second, size),
@@ -123,21 +117,11 @@ def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
     return RectifiedPair(images[0], images[1], usable[0], usable[1], frame.rotation, baseline)
 
 
-def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Averages over the area that a new pixel covers; enlarging by a whole factor repeats pixels.
-
-    No new pixel covers anything beyond the border, so seam and poles need no care.
-    """
-    if image.shape[:2] == size:
-        return np.asarray(image, np.float32)
-    return np.asarray(cv2.resize(np.ascontiguousarray(image, np.float32), size[::-1], interpolation=cv2.INTER_AREA))
-
-
 def usable_pixels(view: View, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
     """The mask of a view at another size: True where no forbidden pixel contributes."""
     if view.mask is None:
         return np.ones(size, bool)
-    return np.asarray(resize_area(view.mask.astype(np.float32), size) > MIN_USABLE_SHARE)
+    return resize_mask(view.mask, size)
 
 
 def _rotated_view(view: View, frame: Pose, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:

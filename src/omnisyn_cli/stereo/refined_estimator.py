@@ -15,6 +15,7 @@ from jaxtyping import Float32
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.pose import at_same_position, distance_between
 from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import rotated_directions, window_max, window_min
 from omnisyn_cli.geometry.sweep import free_space_agreement, motion_in_baselines, neighbourhood_agreement
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH, SAME_SURFACE_TOLERANCE
@@ -29,7 +30,7 @@ from omnisyn_cli.stereo.disparity import (
 from omnisyn_cli.stereo.expected_depth import fill_as_expected
 from omnisyn_cli.stereo.map_filters import joint_upsample, median_filter, remove_speckles
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
-from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, usable_pixels
 from omnisyn_cli.stereo.semi_global import DisparityRange
 from omnisyn_cli.stereo.stereo_features import (
     CompletionModel,

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose, at_same_position
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
@@ -205,6 +206,5 @@ class ChainDepth:
 
 def _reduced(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 4"]:
     """The picture at the size of the check and, last, which of its pixels may be used."""
-    image = resized_to(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
-    usable = np.ones(view.image.shape[:2], np.float32) if view.mask is None else view.mask.astype(np.float32)
-    return np.dstack([image, resized_to(usable, size, cv2.INTER_AREA)])
+    usable = np.ones(size, np.float32) if view.mask is None else resize_area(view.mask, size)
+    return np.dstack([resize_area(view.image, size), usable])

@@ -24,6 +24,7 @@ from omnisyn_cli.fusion.photometry import (
     rough_exposure_curve,
 )
 from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
+from omnisyn_cli.geometry.resize import resize_area, resize_mask
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.render.mesh import Cut
@@ -47,9 +48,6 @@ EXPOSURE_DEPTH_SIZE = (128, 256)
 
 MIN_PHOTO_WEIGHT = np.float32(0.01)
 """Least weight of a photograph's own pixels: their colour is right, however uncertain their depth."""
-
-MIN_USABLE_SHARE = 0.99
-"""Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +124,7 @@ def _render_crosswise(
 
 def _downsampled_view(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
     """A view at the size of the check, its depth with it."""
-    image = resized_to(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
-    mask = view.mask
-    if mask is not None:
-        mask = resized_to(mask.astype(np.float32), size, cv2.INTER_AREA) > MIN_USABLE_SHARE
+    image, mask = resize_area(view.image, size), None if view.mask is None else resize_mask(view.mask, size)
     image_uint8 = None if view.image_uint8 is None else resized_to(view.image_uint8, size, cv2.INTER_AREA)
     return View(image, view.pose, mask, subsample_depth(depth, size), image_uint8=image_uint8)
 
