@@ -209,7 +209,7 @@ def test_notes_about_a_plan_are_said_once(tmp_path: Path, pair: list[Path], omni
 def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, omnisyn: Omnisyn) -> None:
     """At 0 x264 leaves the profiles that players know; right above it does not."""
     words = omnisyn("interpolate", "--help-all").out.split()
-    assert "for h264 0 is lossless, which few players play" in " ".join(words)
+    assert "h264 at 0 is lossless, which few players support" in " ".join(words)
     for crf, profile in ((0, "High 4:4:4 Predictive"), (1, "High")):
         with open_video(tmp_path / f"{crf}.mp4", size=(32, 64), fps=25, crf=crf) as sink:
             sink.write(np.full((32, 64, 3), 9, np.uint8))
