@@ -143,6 +143,13 @@ def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
         assert any(np.array_equal(one.truth, sample.truth) for one in large)
 
 
+def test_networks_that_paint_frames_see_one_size(tmp_path, monkeypatch):
+    monkeypatch.setattr("omnisyn_cli.training.fusion_scenes.MIN_HALVED_ROWS", 64)
+    config = FusionSceneConfig(size=(64, 128), views_between=1, preset="paper", matched_share=0.0, known_share=0.0)
+    (sample,) = load_samples(make_fusion_scene(tmp_path, 1, config), FusionSample)
+    assert sample.channels.shape[1:] == (64, 128)
+
+
 def test_walks_are_shown_with_their_own_views_as_the_truth(tmp_path):
     """The wall of a ball that both ends see: its views between are like the fusion, and are the walk's."""
     positions = ((0, 0, 0), (0.1, 0, 0.2), (0.3, 0, 0.6), (0.4, 0, 0.8))

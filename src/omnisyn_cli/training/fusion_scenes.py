@@ -12,8 +12,8 @@ each position ``k``:
 * ``fused_error_k``, the mean squared error of the geometric fusion.
 
 Photographs and renderings are made at twice that size again. Every position is stored for a network at the size
-of the pool and, from 128 rows on, for one at half of it, since frames of several sizes are fused; their order is
-random. Some poses are a little wrong, as in life.
+of the pool and, from 128 rows on, for one at half of it, since frames of several sizes are corrected; their order is
+random. Networks that paint frames see one size. Some poses are a little wrong, as in life.
 
 Instead of new scenes a pool may show walks that were made before, see :mod:`omnisyn_cli.training.walks`: their ends are
 the photographs, and their other views the truth.
@@ -271,8 +271,10 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
 
 def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
     size, stored_size = config.photograph_size, (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
-    rows = config.size[0]
-    fuser = _MultiSizeRecorder(size, (rows, rows // 2) if rows >= MIN_HALVED_ROWS else (rows,), stored_size)
+    rows, corrects = config.size[0], run_config.fusion_strategy.by_rules
+    fuser = _MultiSizeRecorder(
+        size, (rows, rows // 2) if corrects and rows >= MIN_HALVED_ROWS else (rows,), stored_size
+    )
     cut = Cut(run_config.cut, run_config.cut_metres)
     options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
     method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
