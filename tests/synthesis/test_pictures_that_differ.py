@@ -172,6 +172,10 @@ def test_a_doubtful_pair_gets_soft_surfaces_and_keeps_its_photographs_at_the_end
         one = replace(job, output=tmp_path / fallback, fallback=fallback)
         summary = run_interpolation(plan_interpolation(one))
         assert bool(summary.warnings()) == is_doubtful
+        is_soft = is_doubtful and fallback == "soft"
+        assert any("on soft surfaces" in line for line in summary.lines()) == is_soft
+        assert any("; drawn on soft surfaces; " in line for line in summary.warnings()) == is_soft
+        assert [pair["soft"] for pair in summary.describe()["confidence"]["pairs"]] == [is_soft]
         shown[fallback] = read_frames(one.output)
     for end in (0, 2):
         np.testing.assert_array_equal(shown["soft"][end], shown["none"][end])

@@ -161,7 +161,7 @@ def run_interpolation(
                 for sink in sinks:
                     sink.finish()
     keeper.write_viewer()
-    return Summary(plan, clock.with_total(), keeper.pairs, loader.left_out, keeper.made)
+    return Summary(plan, clock.with_total(), keeper.pairs, loader.left_out, keeper.soft_pairs, keeper.made)
 
 
 def _infinitely_far(depth: DepthEstimate) -> float:
@@ -177,6 +177,7 @@ class _PairKeeper:
         self._plan, self._loader, self._keep_depth, self._clock = plan, loader, keep_depth, clock
         self._packer = None if plan.job.view is None else TourPacker(plan, ViewOptions())
         self.pairs: dict[int, PairConfidence] = {}
+        self.soft_pairs: list[int] = []
         self.made = Made()
         self._current: SurfacePair | None = None
 
@@ -186,6 +187,8 @@ class _PairKeeper:
             return
         self._current = pair
         self.pairs[index] = confidence = pair.prepared.cross_check.confidence
+        if pair.prepared.is_soft:
+            self.soft_pairs.append(index)
         if pair.prepared.triangles is not None:
             self.made.triangles[index] = pair.prepared.triangles
         self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)

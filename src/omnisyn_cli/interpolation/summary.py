@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from statistics import fmean, median
 from typing import Any, ClassVar
@@ -93,12 +93,14 @@ class TourSummary:
         seconds: wall time by stage; ``total`` is all of it.
         pairs: how far what is made of two panoramas can be relied on, by the index of the first.
         left_out: share of the sphere that moves with the camera or is painted over, by the index of the panorama.
+        soft_pairs: those that soft surfaces stand for (:mod:`omnisyn_cli.synthesis.soft_surface`), by the same index.
     """
 
     plan: TourPlan
     seconds: dict[str, float]
     pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
     left_out: Mapping[int, float] = field(default_factory=dict)
+    soft_pairs: Collection[int] = ()
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
     """What to do about a doubtful pair."""
@@ -123,7 +125,10 @@ class TourSummary:
         return {
             "score": min(pair["score"] for pair in described),
             **shares,
-            "pairs": [{"first": index, **pair} for index, pair in zip(self.pairs, described, strict=True)],
+            "pairs": [
+                {"first": index, "soft": index in self.soft_pairs, **pair}
+                for index, pair in zip(self.pairs, described, strict=True)
+            ],
         }
 
     def __repr__(self) -> str:
@@ -155,7 +160,8 @@ class TourSummary:
         worst = self.pairs[index]
         word = next(word for least, word in CONFIDENCE_WORDS if worst.score >= least)
         weakest = np.array(worst.weakest)
-        yield f"confidence: {word} ({worst.score:.2f}), weakest {self.place(index, weakest)}"
+        soft = ", on soft surfaces" if index in self.soft_pairs else ""
+        yield f"confidence: {word} ({worst.score:.2f}){soft}, weakest {self.place(index, weakest)}"
         if word != CONFIDENCE_WORDS[0][1]:
             yield f"to try: {', '.join(self._remedies(worst))} ({CONFIDENCE_PAGE})"
             if is_report_possible:
@@ -200,7 +206,7 @@ class TourSummary:
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
         return [
-            warning_about(self.plan, index, pair, self.advice)
+            warning_about(self.plan, index, pair, self.advice, is_soft=index in self.soft_pairs)
             for index, pair in self.pairs.items()
             if pair.score < MIN_PAIR_SCORE
         ]
@@ -259,11 +265,14 @@ def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
         raise InputError(warning_about(plan, index, pair))
 
 
-def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str = TourSummary.advice) -> str:
-    """What is wrong with a pair and what to do about it, in one line."""
+def warning_about(
+    plan: TourPlan, index: int, pair: PairConfidence, advice: str = TourSummary.advice, *, is_soft: bool = False
+) -> str:
+    """What is wrong with a pair, what was done about it and what to do, in one line."""
     first, second = (plan.job.images[view] for view in plan.pairs[index])
     return (
         f"{first.name} and {second.name}: expected a confidence of at least {MIN_PAIR_SCORE:g}, got {pair.score:.2f} "
-        f"({pair.unseen:.0%} unseen, {pair.depth_disagreement:.0%} in disagreement); check the poses, take panoramas "
-        f"that are closer together, or {advice}"
+        f"({pair.unseen:.0%} unseen, {pair.depth_disagreement:.0%} in disagreement); "
+        f"{'drawn on soft surfaces; ' if is_soft else ''}check the poses, take panoramas that are closer together, or "
+        f"{advice}"
     )

@@ -264,7 +264,7 @@ def run_export(
         return ExportSummary(plan, clock.with_total(), pairs, left_out, links=links)
     write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
     points, triangles = write(plan, surfaces(), clock)
-    return ExportSummary(plan, clock.with_total(), pairs, left_out, points, triangles)
+    return ExportSummary(plan, clock.with_total(), pairs, left_out, points=points, triangles=triangles)
 
 
 def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:

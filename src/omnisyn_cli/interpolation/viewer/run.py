@@ -186,6 +186,7 @@ def run_view(
     clock = Stopwatch()
     pairs: dict[int, PairConfidence] = {}
     left_out: dict[int, float] = {}
+    soft_pairs: list[int] = []
     job = plan.job
     former = former_files(job.output, [MANIFEST_NAME], NAMED_BLOCK)
     folder = replaced_folder(job.output, former, overwrite=job.overwrite)
@@ -195,6 +196,8 @@ def run_view(
             packer = TourPacker(plan, job.options, keep)
         for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
             refuse_doubtful(plan, pair.index, pair.cross_check.confidence)
+            if pair.is_soft:
+                soft_pairs.append(pair.index)
             with clock("pack"):
                 packer.add(pair)
             if staged is None:
@@ -207,7 +210,7 @@ def run_view(
                 size = write_page(job.output, packed_viewer)
             else:
                 size = packer.blocks.size + write_folder(staged, packed_viewer, len(packer.blocks))
-    return ViewSummary(plan, clock.with_total(), pairs, left_out, size)
+    return ViewSummary(plan, clock.with_total(), pairs, left_out, soft_pairs, size)
 
 
 def _check_linked(plan: TourPlan) -> None:
