@@ -271,9 +271,9 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
 
 def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
     size, stored_size = config.photograph_size, (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
-    rows, corrects = config.size[0], run_config.fusion_strategy.by_rules
+    rows, by_rules = config.size[0], run_config.fusion_strategy.by_rules
     fuser = _MultiSizeRecorder(
-        size, (rows, rows // 2) if corrects and rows >= MIN_HALVED_ROWS else (rows,), stored_size
+        size, (rows, rows // 2) if by_rules and rows >= MIN_HALVED_ROWS else (rows,), stored_size
     )
     cut = Cut(run_config.cut, run_config.cut_metres)
     options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
