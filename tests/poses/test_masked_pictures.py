@@ -13,6 +13,7 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.images import outside_nadir
 from omnisyn_cli.poses.estimation import PictureOptions, check_poses, estimate_poses
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile
+from omnisyn_cli.poses.registration.scan import scan_panorama
 
 SIZE = (512, 1024)
 ROOF = math.radians(60)
@@ -71,3 +72,13 @@ def test_another_number_of_masks_is_refused(photographs):
     first, second, mask = photographs
     with pytest.raises(InputError, match="expected one mask for each of 2 panoramas, got 1"):
         estimate_poses((first, second), (1.0,), PictureOptions(masks=(mask,)))
+
+
+@pytest.mark.parametrize(
+    ("columns", "is_masked", "meets"), [(512, False, True), (300, False, False), (300, True, True)]
+)
+def test_edges_that_do_not_meet_tell_a_part_of_the_sphere(columns, is_masked, meets):
+    """Unless those that may not be used are among them."""
+    image = street_image(0)[: columns // 2, :columns]
+    usable = np.arange(columns) > 0 if is_masked else np.ones(columns, bool)
+    assert scan_panorama(image, np.tile(usable, (len(image), 1)), threads=1).meets_at_seam == meets

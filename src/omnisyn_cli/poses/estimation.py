@@ -223,6 +223,7 @@ def estimate_poses(
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
+    notes += _partial_notes(images, scans)
     if graph.contradicting:
         notes.append(f"{graph.contradicting} more match, but contradict the others and are not used")
     if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:
@@ -248,7 +249,7 @@ def _solve_pose_graph(
     edges = consistent_edges(matched, rotations)
     placed = placed_panoramas(edges, len(images))
     if len(placed) < 2 or (must_place_all and len(placed) < len(images)):
-        raise _unplaced(images, placed, tried)
+        raise _unplaced(images, placed, tried, _partial_notes(images, scans))
     rotations = {k: rotations[k] for k in placed}
     edges = agreeing_edges([edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered)
     positions = positions_of(edges, *baseline_lengths(edges, given), rotations)
@@ -295,12 +296,21 @@ def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edg
     return edges, tried
 
 
-def _unplaced(images: Sequence[Path], placed: Sequence[int], tried: Mapping[tuple[int, int], int]) -> PoseError:
+def _partial_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
+    """About pictures that do not seem to show the whole sphere."""
+    partial = [image.name for image, scan in zip(images, scans, strict=True) if not scan.meets_at_seam]
+    names = ", ".join(partial)
+    return [f"left and right edges do not meet in {names}; is that all of the sphere? (--hfov)"] if partial else []
+
+
+def _unplaced(
+    images: Sequence[Path], placed: Sequence[int], tried: Mapping[tuple[int, int], int], notes: Sequence[str]
+) -> PoseError:
     pair = next(pair for pair in tried if len(placed) < 2 or not set(pair) <= set(placed))
     first, second = (images[k] for k in pair)
     return PoseError(
         f"{first} and {second}: expected more matches that agree with a pose than by chance, got too few (of "
-        f"{tried[pair]}); give their poses in a file, or take a panorama between them"
+        f"{tried[pair]}); {'; '.join([*notes, 'give their poses in a file, or take a panorama between them'])}"
     )
 
 

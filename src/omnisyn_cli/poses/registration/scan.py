@@ -54,6 +54,14 @@ SMALL_ROWS = 256
 """Rows of the picture in colour that floors are looked for in."""
 
 
+MIN_SEAM_STEP, MIN_SEAM_RATIO = 0.06, 4.0
+"""Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they
+do not meet if no neighbours differ more. (Of 445 panoramas none is above, of parts of them two thirds.)"""
+
+POLAR_SHARE = 0.1
+"""Of the rows, at either pole, that are not asked: their pixels are neighbours all around."""
+
+
 @dataclass(frozen=True)
 class Scan:
     """One panorama as registration sees it.
@@ -78,6 +86,18 @@ class Scan:
     def view(self) -> View:
         """The small picture, upright in its own frame."""
         return View(self.small, Pose.identity(), self.usable)
+
+    @property
+    def meets_at_seam(self) -> bool:
+        """Whether the last column continues with the first one, as in panoramas; also if not both may be used."""
+        picture, rows = self.small.astype(np.float32), len(self.small)
+        if self.usable is not None and not self.usable[:, [0, -1]].any(axis=0).all():
+            return True
+        polar = round(POLAR_SHARE * rows)
+        picture = picture[polar : rows - polar]
+        seam = float(np.abs(picture[:, 0] - picture[:, -1]).mean())
+        steps = np.abs(np.diff(picture, axis=1)).mean(axis=(0, 2))
+        return seam < max(MIN_SEAM_STEP, MIN_SEAM_RATIO * float(steps.mean()), float(steps.max()))
 
     @cached_property
     def vertical(self) -> Vertical:
