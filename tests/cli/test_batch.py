@@ -117,7 +117,8 @@ def test_failures_are_shown_and_are_exit_code_1(tmp_path: Path, omnisyn: Omnisyn
     arguments = ["batch", tmp_path / "jobs.jsonl", "-o", tmp_path / "out", "--workers", 1, "--threads", 1]
     result = omnisyn.ended(1, *arguments)
     assert "2 jobs, 1 done" in result.out
-    assert "1 failed" in result.err
+    assert result.err.startswith("0/2 jobs\n")
+    assert "\n2/2 jobs, 1 failed\n" in result.err
     assert "worse" in result.err
     report = json.loads(omnisyn.ended(1, *arguments, "--json").out)
     assert (report["done"], report["kept"], report["failed"]) == (0, 1, 1)

@@ -82,7 +82,7 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
 
     checked = read_manifest(manifest)
     _refuse_problems(checked)
-    with _progress(is_shown=is_watched(is_quiet=quiet)) as on_progress:
+    with _progress(is_quiet=quiet) as on_progress:
         report = run_batch(checked, output, BatchOptions(**options), on_progress)
     _print_report(report, output, as_json=as_json, quiet=quiet)
     if report.failed:
@@ -183,20 +183,24 @@ def _print_failures(report: BatchReport) -> None:
 
 
 @contextmanager
-def _progress(*, is_shown: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """A bar over all jobs with the time left on stderr; nothing where stderr is no terminal."""
-    if not is_shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+def _progress(*, is_quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """A bar over all jobs with the time left on stderr; a line for each job where stderr is no terminal."""
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), speed_estimate_period=3600) as bar:
+    def in_words(now: Progress) -> str:
+        return f"{now.done + now.failed}/{now.jobs} jobs" + (f", {now.failed} failed" if now.failed else "")
+
+    if not is_watched(is_quiet=is_quiet):
+        yield None if is_quiet else (lambda now: say(in_words(now), err=True))
+        return
+    from rich import progress
+    from rich.console import Console
+
+    columns = (progress.TextColumn("{task.description}"), progress.BarColumn(), progress.TimeElapsedColumn(),
+               progress.TimeRemainingColumn())  # fmt: skip
+    with progress.Progress(*columns, console=Console(stderr=True), speed_estimate_period=3600) as bar:
         task = bar.add_task("jobs", total=None)
 
-        def show(now: Any) -> None:
-            text = f"{now.done + now.failed}/{now.jobs} jobs" + (f", {now.failed} failed" if now.failed else "")
-            bar.update(task, total=now.cost, completed=now.cost_done, description=text)
+        def show(now: Progress) -> None:
+            bar.update(task, total=now.cost, completed=now.cost_done, description=in_words(now))
 
         yield show
