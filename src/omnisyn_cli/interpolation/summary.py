@@ -195,7 +195,7 @@ class TourSummary:
     def _remedies(self, pair: PairConfidence) -> Iterator[str]:
         if pair.depth_disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
             yield "omnisyn poses check"
-        if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and not self.plan.job.nadir:
+        if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and not (self.plan.job.nadir or self.left_out):
             yield "--nadir 25 if a tripod shows"
         if pair.inconsistency > MAX_GOOD_SHARE:
             yield "--mask for people and things that moved"
