@@ -59,7 +59,7 @@ MIN_SEAM_STEP, MIN_SEAM_RATIO = 0.06, 4.0
 do not meet if no neighbours differ more. (Of 445 panoramas none is above, of parts of them two thirds.)"""
 
 POLAR_SHARE = 0.1
-"""Of the rows, at either pole, that are not asked: their pixels are neighbours all around."""
+"""Of the rows, at either pole, that the test of the seam leaves out: all their pixels are close together."""
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,10 @@ class Scan:
     @property
     def meets_at_seam(self) -> bool:
         """Whether the last column continues with the first one, as in panoramas; also if not both may be used."""
-        picture, rows = self.small.astype(np.float32), len(self.small)
         if self.usable is not None and not self.usable[:, [0, -1]].any(axis=0).all():
             return True
-        polar = round(POLAR_SHARE * rows)
-        picture = picture[polar : rows - polar]
+        polar = round(POLAR_SHARE * SMALL_ROWS)
+        picture = self.small[polar : SMALL_ROWS - polar]
         seam = float(np.abs(picture[:, 0] - picture[:, -1]).mean())
         steps = np.abs(np.diff(picture, axis=1)).mean(axis=(0, 2))
         return seam < max(MIN_SEAM_STEP, MIN_SEAM_RATIO * float(steps.mean()), float(steps.max()))
