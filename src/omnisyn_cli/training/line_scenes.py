@@ -19,7 +19,13 @@ from jaxtyping import Float, Float32
 
 from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_from_heading, rotation_from_rotation_vector
+from omnisyn_cli.geometry.pose import (
+    Pose,
+    at_same_position,
+    distance_between,
+    rotation_from_heading,
+    rotation_from_rotation_vector,
+)
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame
@@ -242,7 +248,7 @@ def scene_from_views(views: Sequence[View], size: tuple[int, int]) -> TrainingSc
     frame = epipole_frame(first, last)[0].rotation
     shown = [_rotate_view(view, frame, size) for view in views]
     images, inverse_depths = (np.stack(column) for column in zip(*shown, strict=True))
-    along = [float(np.linalg.norm(view.pose.position - first.position)) for view in views]
+    along = [distance_between(first, view.pose) for view in views]
     return TrainingScene(images, inverse_depths, np.array(along, np.float32), frame.T @ UP)
 
 
