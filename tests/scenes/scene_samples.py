@@ -6,7 +6,8 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material
-from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder
+from omnisyn_cli.scenes.solids import Shape
 
 DAY = Lighting(sun_direction=(0.0, 1.0, 0.0), sun=(1.0, 1.0, 1.0), sky=(0.3, 0.3, 0.3), bounce=(0.2, 0.2, 0.2))
 
@@ -46,15 +47,12 @@ def unit_directions(seed: int, count: int) -> np.ndarray:
 
 
 def oracle_distance(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int]:
-    """Try every surface of every shape, one after the other; where a ray meets a surface from outside, it is hit."""
-    best, hit = math.inf, -2
-    slant = float(scene.ground[:3] @ direction)
-    if slant < 0:
-        best, hit = float(scene.ground[3] - scene.ground[:3] @ origin) / slant, -1
-    for k in range(len(scene.shape)):
-        o = scene.rotation[k].T @ (origin - scene.centre[k]) / scene.half[k]
-        d = scene.rotation[k].T @ direction / scene.half[k]
-        for t in _surface_hits(Shape(int(scene.shape[k])), o, d):
+    """Try every surface of every shape, one after the other; where a ray first meets one, it is hit."""
+    best, hit = math.inf, -1
+    for k, shape in enumerate(scene.shapes):
+        o = shape["rotation"].T @ (origin - shape["centre"]) / shape["half"]
+        d = shape["rotation"].T @ direction / shape["half"]
+        for t in _surface_hits(Shape(shape["kind"]), o, d):
             if 0.0 < t < best:
                 best, hit = t, k
     return best, hit
@@ -100,9 +98,7 @@ def clearance(scene: Scene, positions: np.ndarray) -> np.ndarray:
 
     Every shape counts as its oriented box.
     """
-    local = np.einsum("nji,pnj->pni", scene.rotation, positions[:, None, :] - scene.centre)
-    beyond = np.abs(local) - scene.half
+    local = np.einsum("nji,pnj->pni", scene.shapes["rotation"], positions[:, None, :] - scene.shapes["centre"])
+    beyond = np.abs(local) - scene.shapes["half"]
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
-    distance = outside + np.minimum(beyond.max(axis=-1), 0.0)
-    above = positions @ scene.ground[:3] - scene.ground[3]
-    return np.minimum(distance.min(axis=1, initial=np.inf), above)
+    return (outside + np.minimum(beyond.max(axis=-1), 0.0)).min(axis=1)

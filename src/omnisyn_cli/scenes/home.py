@@ -1,7 +1,6 @@
 """Homes: rooms on a grid with doorways and windows, furniture close to the camera path, walls with little texture."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +11,8 @@ from omnisyn_cli.scenes.furnishing import furnish
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.obstacles import CameraPath, Enclosure
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Lighting, LocalFrame, Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.scene import Lighting, LocalFrame, Scene, SceneBuilder, Walkway
+from omnisyn_cli.scenes.solids import Shape
 from omnisyn_cli.scenes.walls import Cell, Opening, Openings, add_room_shell
 
 PATH_FURNITURE = (
@@ -60,8 +60,8 @@ def indoor_light(rng: np.random.Generator) -> Lighting:
     strength = rng.uniform(0.8, 1.6) if is_sided else rng.uniform(0.2, 0.8)
     elevation = rng.uniform(0.35, 0.9) if is_sided else rng.uniform(1.15, 1.5)
     level *= 0.6 if is_sided else 1.0
-    return replace(
-        day, sun_direction=sun_at(rng.uniform(-math.pi, math.pi), elevation),
+    return day._replace(
+        sun_direction=sun_at(rng.uniform(-math.pi, math.pi), elevation),
         sun=(strength * tone[0], strength * tone[1], strength * tone[2]),
         sky=(level * tone[0], level * tone[1], level * tone[2]),
         bounce=(0.8 * level * tone[0], 0.77 * level * tone[1], 0.7 * level * tone[2]), softness=rng.uniform(0.02, 0.2),

@@ -12,7 +12,8 @@ from omnisyn_cli.scenes.home import BASELINE_RANGE, MAX_BASELINE_IN_DEPTHS, indo
 from omnisyn_cli.scenes.materials import Material, Pattern, plant_material, tonal_material
 from omnisyn_cli.scenes.obstacles import CameraPath, Enclosure
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Walkway
+from omnisyn_cli.scenes.solids import Shape
 
 FinishSampler = Callable[[np.random.Generator, str], Material]
 

@@ -1,12 +1,10 @@
 """Materials: a pattern of up to three colours, and how it takes the light."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from omnisyn_cli.scenes.palette import Colour, Palette, pick, scaled
 
@@ -37,28 +35,7 @@ class Pattern(IntEnum):
     MESH = 20  # open lattice
 
 
-class MaterialColumn(IntEnum):
-    """Columns of a packed material."""
-
-    PATTERN = 0
-    FIRST = 1
-    SECOND = 4
-    THIRD = 7
-    CELL_U = 10
-    CELL_V = 11
-    LINE = 12
-    GRAIN = 13
-    GRAIN_SIZE = 14
-    DETAIL = 15
-    GLOSS = 16
-    GLOW = 17
-    SEED = 18
-    PERFORATED = 19
-    COUNT = 20
-
-
-@dataclass(frozen=True)
-class Material:
+class Material(NamedTuple):
     """A surface.
 
     Attributes:
@@ -110,26 +87,26 @@ def random_material(
     return Material(pattern, seed=int(rng.integers(1, 1000)), **properties)
 
 
-_PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
+PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
 """Patterns with holes, which rays pass."""
 
+COLOURS = ("first", "second", "third")
 
-def pack_materials(materials: Sequence[Material]) -> Float[np.ndarray, "m p"]:
-    """Return one row per material, with linear colours, laid out as :class:`MaterialColumn` says."""
-    rows = [
-        (
-            m.pattern,
-            *(c * c for colour in (m.first, m.second, m.third) for c in colour),
-            *m.cell,
-            m.line,
-            m.grain,
-            m.grain_size,
-            m.detail,
-            m.gloss,
-            m.glow,
-            m.seed,
-            m.pattern in _PERFORATED_PATTERNS,
-        )
-        for m in materials
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, int(MaterialColumn.COUNT))
+PACKED_MATERIAL = np.dtype([
+    ("pattern", "i8"), *((name, "f8", 3) for name in COLOURS), ("cell", "f8", 2), ("line", "f8"), ("grain", "f8"),
+    ("grain_size", "f8"), ("detail", "f8"), ("gloss", "f8"), ("glow", "f8"), ("seed", "i8"), ("is_perforated", "?"),
+    ("photo", "i8"), ("photo_mapping", "i8"), ("photo_width", "f8"), ("photo_seed", "i8"), ("has_patches", "?"),
+])  # fmt: skip
+"""A material as kernels read it: colours are linear; for photographs see :mod:`omnisyn_cli.scenes.photos`."""
+
+
+def pack_materials(materials: Sequence[Material]) -> np.ndarray:
+    """One record of :data:`PACKED_MATERIAL` per material, without photographs."""
+    packed = np.zeros(len(materials), PACKED_MATERIAL)
+    for field, values in zip(Material._fields, zip(*materials, strict=True), strict=True):
+        packed[field] = values
+    for colour in COLOURS:
+        packed[colour] **= 2
+    packed["is_perforated"] = np.isin(packed["pattern"], PERFORATED_PATTERNS)
+    packed["photo"] = -1
+    return packed

@@ -11,7 +11,8 @@ from omnisyn_cli.scenes.finishes import random_finish
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Walkway
+from omnisyn_cli.scenes.solids import Shape
 
 DARK_GAP_MATERIAL = Material(Pattern.PLAIN, (0.03, 0.03, 0.03), (0.02, 0.02, 0.02), grain=0.02)
 """Nearly black: a gap that no light reaches. Set by hand."""

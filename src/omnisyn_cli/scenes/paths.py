@@ -87,13 +87,12 @@ def _is_too_long(scene: Scene, walkway: Walkway, start: Float[np.ndarray, "3"], 
 
 
 def _is_free(scene: Scene, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], clearance: float) -> bool:
-    """Whether a segment stays out of every shape's box, grown by ``clearance`` on all sides, and above the ground."""
-    if min(start @ scene.ground[:3], end @ scene.ground[:3]) < scene.ground[3] + clearance:
-        return False
-    local = np.einsum("nji,nj->ni", scene.rotation, start - scene.centre)
-    step = np.einsum("nji,j->ni", scene.rotation, end - start)
+    """Whether a segment stays out of every shape's box, grown by ``clearance`` on all sides."""
+    rotation, half = scene.shapes["rotation"], scene.shapes["half"]
+    local = np.einsum("nji,nj->ni", rotation, start - scene.shapes["centre"])
+    step = np.einsum("nji,j->ni", rotation, end - start)
     step = np.where(np.abs(step) < 1e-12, 1e-12, step)
-    middle, reach = -local / step, (scene.half + clearance) / np.abs(step)
+    middle, reach = -local / step, (half + clearance) / np.abs(step)
     enters, leaves = (middle - reach).max(axis=1), (middle + reach).min(axis=1)
     return not np.any((enters < leaves) & (leaves > 0.0) & (enters < 1.0))
 

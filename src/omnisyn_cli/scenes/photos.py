@@ -6,15 +6,18 @@ seam; what repeats itself is hidden by noise on walls, and by patches that are t
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int64, UInt8
+from jaxtyping import Int64, UInt8
 
-from omnisyn_cli.scenes.materials import MaterialColumn, Pattern
-from omnisyn_cli.scenes.scene import PhotoTextures, Scene
+from omnisyn_cli.scenes.materials import Pattern
+
+if TYPE_CHECKING:
+    from omnisyn_cli.scenes.scene import Scene
 
 MIP_LEVELS = 12
 """Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated."""
@@ -61,9 +64,8 @@ GROUND_PATTERNS = (Pattern.ROAD, Pattern.GRASS)
 """Patterns that lie on the ground whatever they belong to."""
 
 
-@dataclass(frozen=True)
-class Photos:
-    """Photographs with their mip levels.
+class Photos(NamedTuple):
+    """Photographs with their mip levels; a tuple, for the kernels.
 
     Attributes:
         texels: of all levels of all photographs, one after the other, row after row; sRGB.
@@ -72,6 +74,10 @@ class Photos:
 
     texels: UInt8[np.ndarray, "texels 3"]
     levels: Int64[np.ndarray, "photos levels 3"]
+
+
+NO_PHOTOS = Photos(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64))
+"""Of scenes without."""
 
 
 def pack_photos(images: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Photos:
@@ -102,32 +108,21 @@ def _mip_levels(image: UInt8[np.ndarray, "height width 3"]) -> list[np.ndarray]:
     return levels
 
 
-def with_photos(scene: Scene, photos: Photos, seed: int) -> Scene:
+def with_photos(scene: "Scene", photos: Photos, seed: int) -> "Scene":
     """A scene some of whose materials are photographs, by chance; equal arguments give equal scenes."""
     rng = np.random.default_rng([41, seed])
     share = rng.uniform(*PHOTO_SHARE_RANGE)
-    assignment = np.zeros((len(scene.materials), 5))
-    assignment[:, 0] = -1.0
-    for row, material in enumerate(scene.materials):
-        pattern = Pattern(int(material[MaterialColumn.PATTERN]))
+    materials, ground = scene.materials.copy(), scene.shapes["material"][0, 0]
+    for row, material in enumerate(materials):
+        pattern = Pattern(material["pattern"])
         chance, photo, draws = rng.random(), int(rng.integers(len(photos.levels))), rng.random(3)
         wanted_share = max(share, MIN_PICTURE_SHARE) if pattern == Pattern.PICTURE else share
-        if pattern not in PHOTO_PLACEMENTS or chance > wanted_share or _is_glass_or_lamp(material):
+        is_glass = material["gloss"] >= GLASS_MIN_GLOSS and pattern == Pattern.PLAIN
+        if pattern not in PHOTO_PLACEMENTS or chance > wanted_share or is_glass or material["glow"] > 0.0:
             continue
         mappings, min_width, max_width = PHOTO_PLACEMENTS[pattern]
-        mapping = mappings[int(draws[0] * len(mappings))]
-        width = min_width * math.exp(draws[1] * math.log(max_width / min_width))
-        assignment[row] = (
-            photo,
-            mapping,
-            width,
-            1 + int(draws[2] * 1e4),
-            row == scene.ground_material or pattern in GROUND_PATTERNS,
-        )
-    return replace(scene, photo_textures=PhotoTextures(photos.texels, photos.levels, assignment))
-
-
-def _is_glass_or_lamp(material: Float[np.ndarray, " columns"]) -> bool:
-    """Whether a plain material is a lamp, glass or a screen."""
-    is_glass = material[MaterialColumn.GLOSS] >= GLASS_MIN_GLOSS and material[MaterialColumn.PATTERN] == Pattern.PLAIN
-    return bool(is_glass or material[MaterialColumn.GLOW] > 0.0)
+        material["photo"], material["photo_mapping"] = photo, mappings[int(draws[0] * len(mappings))]
+        material["photo_width"] = min_width * math.exp(draws[1] * math.log(max_width / min_width))
+        material["photo_seed"] = 1 + int(draws[2] * 1e4)
+        material["has_patches"] = row == ground or pattern in GROUND_PATTERNS
+    return replace(scene, materials=materials, photos=photos)

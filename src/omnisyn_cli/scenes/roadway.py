@@ -9,7 +9,8 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern, plant_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import SceneBuilder
+from omnisyn_cli.scenes.solids import Shape
 
 STREET_HALF_LENGTH = 85.0
 """Half the length of the street, metres."""

@@ -1,7 +1,7 @@
 """Rooms: one to three in a row with real openings between them and to the outside, or one large hall."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -82,8 +82,8 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
     else:
         direction, softness = sun_at(rng.choice([0.0, math.pi]) + rng.normal(0, 0.5), rng.uniform(0.35, 0.9)), 0.008
         sun = (2.6, 2.35, 1.9)
-    day = replace(day, sun_direction=direction, sun=sun, sky=sky, bounce=bounce, softness=softness)
-    return replace(day, haze=0.0, exposure=rng.uniform(1.2, 1.9))
+    day = day._replace(sun_direction=direction, sun=sun, sky=sky, bounce=bounce, softness=softness)
+    return day._replace(haze=0.0, exposure=rng.uniform(1.2, 1.9))
 
 
 def _add_outdoors(build: SceneBuilder, level: float) -> None:

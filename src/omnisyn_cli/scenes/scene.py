@@ -1,38 +1,30 @@
-"""A scene as arrays: convex shapes, materials, one ground plane, a sky, a sun and lamps.
+"""A scene as arrays: shapes, materials, a ground, a sky, a sun and lamps.
 
 The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape in a
 box of half sizes ``half`` that is rotated and moved. A generator collects the shapes in a :class:`SceneBuilder`.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Int64, UInt8
+from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material, pack_materials
 from omnisyn_cli.scenes.palette import Colour
+from omnisyn_cli.scenes.photos import NO_PHOTOS, Photos
+from omnisyn_cli.scenes.solids import PACKED_SHAPE, Shape
 
 Point = tuple[float, float, float]
-Turn: TypeAlias = float | Point | np.ndarray
+
+GROUND_REACH = 1000.0
+"""Metres from the origin to the edge of the ground."""
 
 
-class Shape(IntEnum):
-    """The unit shapes: each fills the cube [-1, 1]³ as far as it can; axes of cylinder and cone are the local y."""
-
-    BOX = 0
-    ELLIPSOID = 1
-    CYLINDER = 2
-    CONE = 3
-
-
-@dataclass(frozen=True)
-class Lighting:
-    """Where light comes from and what the sky looks like; colours are linear RGB.
+class Lighting(NamedTuple):
+    """Where light comes from and what the sky looks like; colours are linear RGB. A tuple, for the kernels.
 
     Attributes:
         sun_direction: unit vector towards the sun.
@@ -68,7 +60,7 @@ class Walkway:
     """Where cameras may stand.
 
     Attributes:
-        low, high: opposite corners of a box of camera positions, metres.
+        low, high: opposite corners of a box of camera positions, metres; heights count from the ground.
         heading: direction of motion in the horizontal plane (x, z), unit length; (0, 0) = any.
         baselines: shortest and longest usual distance between the first and the last camera.
         clearance: distance that cameras keep from everything, metres.
@@ -86,75 +78,29 @@ class Walkway:
     slope: float = 0.02
 
 
-class PhotoTextures(NamedTuple):
-    """Materials whose colours are photographs, see :mod:`omnisyn_cli.scenes.photos`; a tuple, for the kernels.
-
-    Attributes:
-        texels, levels: of :class:`omnisyn_cli.scenes.photos.Photos`.
-        assignment: per material: photograph (-1 for none), mapping, width in metres, seed, and 1 where patches are
-            turned.
-    """
-
-    texels: UInt8[np.ndarray, "texels 3"]
-    levels: Int64[np.ndarray, "photos levels 3"]
-    assignment: Float[np.ndarray, "m 5"]
-
-
-NO_PHOTO_TEXTURES = PhotoTextures(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64), np.zeros((0, 5)))
-"""Of scenes without photographs: no material has one."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that is seen, as arrays over the n shapes.
+    """Everything that is seen.
 
     Attributes:
         kind: name of the generator.
-        shape: :class:`Shape` of each.
-        centre: metres.
-        rotation: world from local.
-        half: half sizes, metres.
-        material: row of ``materials`` for the sides and for the faces up and down (of boxes, cylinders and cones).
-        tint: factor on the material's colours.
-        variation: a number that makes two shapes of one material differ.
-        casts_shadow: ceilings of lamp-lit rooms do not.
-        materials: packed by :func:`omnisyn_cli.scenes.materials.pack_materials`.
+        shapes: records of :data:`omnisyn_cli.scenes.solids.PACKED_SHAPE`; the first is the ground.
+        materials: records of :data:`omnisyn_cli.scenes.materials.PACKED_MATERIAL`.
         ground: unit normal and offset of the plane ``normal · x = offset``.
-        ground_material: row of ``materials``.
         lamps: position and linear colour of lamps without shadows.
         lighting: sun and sky.
         walkways: where cameras may stand.
-        photo_textures: photographs on its materials.
+        photos: photographs that some materials show.
     """
 
     kind: str
-    shape: Int[np.ndarray, " n"]
-    centre: Float[np.ndarray, "n 3"]
-    rotation: Float[np.ndarray, "n 3 3"]
-    half: Float[np.ndarray, "n 3"]
-    material: Int[np.ndarray, "n 2"]
-    tint: Float[np.ndarray, "n 3"]
-    variation: Int[np.ndarray, " n"]
-    casts_shadow: Bool[np.ndarray, " n"]
-    materials: Float[np.ndarray, "m p"]
+    shapes: np.ndarray
+    materials: np.ndarray
     ground: Float[np.ndarray, "4"]
-    ground_material: int
     lamps: Float[np.ndarray, "l 6"]
     lighting: Lighting
     walkways: tuple[Walkway, ...]
-    photo_textures: PhotoTextures = NO_PHOTO_TEXTURES
-
-
-class _Added(NamedTuple):
-    """One shape; ``turn`` is its yaw, or the direction of its y axis, or its rotation."""
-
-    shape: int
-    centre: Point
-    turn: Turn
-    half: Point
-    material: tuple[int, int]
-    tint: Colour
-    casts_shadow: bool
+    photos: Photos = NO_PHOTOS
 
 
 @dataclass
@@ -168,7 +114,7 @@ class SceneBuilder:
     lamps: list[tuple[float, ...]] = field(default_factory=list)
     walkways: list[Walkway] = field(default_factory=list)
     _materials: dict[Material, int] = field(default_factory=dict)
-    _shapes: list[_Added] = field(default_factory=list)
+    _shapes: list[tuple[object, ...]] = field(default_factory=list)
 
     def add(
         self, shape: Shape, centre: Point, half: Point, material: Material, *, cap: Material | None = None,
@@ -176,15 +122,16 @@ class SceneBuilder:
         casts_shadow: bool = True,
     ) -> None:  # fmt: skip
         """Add one shape; ``yaw`` turns it about the vertical, ``rotation`` replaces that by any rotation."""
-        sides, ends = self._row(material), self._row(material if cap is None else cap)
-        turn = yaw if rotation is None else rotation
-        self._shapes.append(_Added(int(shape), centre, turn, half, (sides, ends), (tint, tint, tint), casts_shadow))
+        if rotation is None:
+            c, s = math.cos(yaw), math.sin(yaw)
+            rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        rows = self._row(material), self._row(material if cap is None else cap)
+        self._shapes.append((shape, centre, rotation, half, rows, tint, casts_shadow))
 
     def box(self, low: Point, high: Point, material: Material, *, casts_shadow: bool = True) -> None:
         """Add an axis-aligned box from corner to corner."""
-        centre = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2]))
-        half = (0.5 * abs(high[0] - low[0]), 0.5 * abs(high[1] - low[1]), 0.5 * abs(high[2] - low[2]))
-        self.add(Shape.BOX, centre, half, material, casts_shadow=casts_shadow)
+        a, b = np.array(low), np.array(high)
+        self.add(Shape.BOX, tuple(0.5 * (a + b)), tuple(0.5 * np.abs(b - a)), material, casts_shadow=casts_shadow)
 
     def pole(self, bottom: Point, height: float, radius: float, material: Material) -> None:
         """Add a vertical cylinder that stands on ``bottom``."""
@@ -193,12 +140,9 @@ class SceneBuilder:
 
     def rod(self, start: Point, end: Point, radius: float, material: Material) -> None:
         """Add a cylinder between two points."""
-        length = math.dist(start, end)
-        axis = ((end[0] - start[0]) / length, (end[1] - start[1]) / length, (end[2] - start[2]) / length)
-        centre = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), 0.5 * (start[2] + end[2]))
-        half = (radius, 0.5 * length, radius)
-        row = self._row(material)
-        self._shapes.append(_Added(int(Shape.CYLINDER), centre, axis, half, (row, row), (1.0, 1.0, 1.0), True))
+        a, b = np.array(start), np.array(end)
+        half = 0.5 * math.dist(start, end)
+        self.add(Shape.CYLINDER, tuple(0.5 * (a + b)), (radius, half, radius), material, rotation=_upright_to(b - a))
 
     def ball(self, centre: Point, radius: float, material: Material) -> None:
         """Add a sphere."""
@@ -206,47 +150,30 @@ class SceneBuilder:
 
     def build(self, kind: str) -> Scene:
         """Freeze what was collected."""
-        count = len(self._shapes)
-        ground_material = self._row(self.ground_material)
-        added = self._shapes
+        *normal, offset = self.ground
+        row = self._row(self.ground_material)
+        centre = np.array(normal) * (offset - 1.0)
+        half = (GROUND_REACH, 1.0, GROUND_REACH)
+        ground = (Shape.BOX, centre, _upright_to(np.array(normal)), half, (row, row), 1.0, False)
+        shapes = np.zeros(len(self._shapes) + 1, PACKED_SHAPE)
+        for name, values in zip(PACKED_SHAPE.names or (), zip(ground, *self._shapes, strict=True), strict=False):
+            shapes[name] = values
+        shapes["variation"][1:] = self.rng.integers(1, 1 << 16, len(self._shapes))
         return Scene(
-            kind=kind,
-            shape=np.array([a.shape for a in added], dtype=np.int64),
-            centre=np.array([a.centre for a in added], dtype=np.float64).reshape(count, 3),
-            rotation=_rotations([a.turn for a in added]),
-            half=np.array([a.half for a in added], dtype=np.float64).reshape(count, 3),
-            material=np.array([a.material for a in added], dtype=np.int64).reshape(count, 2),
-            tint=np.array([a.tint for a in added], dtype=np.float64).reshape(count, 3),
-            variation=self.rng.integers(1, 1 << 16, count),
-            casts_shadow=np.array([a.casts_shadow for a in added], dtype=np.bool_),
-            materials=pack_materials(list(self._materials)),
-            ground=np.array(self.ground, dtype=np.float64),
-            ground_material=ground_material,
-            lamps=np.array(self.lamps, dtype=np.float64).reshape(-1, 6),
-            lighting=self.lighting,
-            walkways=tuple(self.walkways),
-        )
+            kind, shapes, pack_materials(list(self._materials)), np.array(self.ground),
+            np.array(self.lamps, dtype=np.float64).reshape(-1, 6), self.lighting, tuple(self.walkways),
+        )  # fmt: skip
 
     def _row(self, material: Material) -> int:
         return self._materials.setdefault(material, len(self._materials))
 
 
-def _rotations(turns: Sequence[Turn]) -> Float[np.ndarray, "n 3 3"]:
-    """World-from-local rotations, all at once: one by one they would cost more than the picture."""
-    yaws = np.array([turn if isinstance(turn, float | int) else 0.0 for turn in turns], dtype=np.float64)
-    vectors = np.zeros((len(turns), 3))
-    vectors[:, 1] = yaws
-    rotations = rotation_from_rotation_vector(vectors).reshape(-1, 3, 3)
-    rods = [k for k, turn in enumerate(turns) if isinstance(turn, tuple)]
-    if rods:
-        axis = np.array([turns[k] for k in rods])
-        side = np.cross(axis, np.where(np.abs(axis[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
-        side /= np.linalg.norm(side, axis=1, keepdims=True)
-        rotations[rods] = np.stack([side, axis, np.cross(side, axis)], axis=2)
-    for k, turn in enumerate(turns):
-        if isinstance(turn, np.ndarray):
-            rotations[k] = turn
-    return rotations
+def _upright_to(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The shortest rotation of the y axis to an axis of any length."""
+    across = math.hypot(axis[0], axis[2])
+    angle = math.atan2(across, axis[1])
+    turn = np.array([axis[2], 0.0, -axis[0]]) / across if across > 0.0 else np.array([1.0, 0.0, 0.0])
+    return rotation_from_rotation_vector(angle * turn)
 
 
 @dataclass(frozen=True)

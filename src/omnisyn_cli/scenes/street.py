@@ -12,7 +12,8 @@ from omnisyn_cli.scenes.daylight import daylight
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.roadway import StreetPlan, draw_plan, lay_pavement, lay_roadway
-from omnisyn_cli.scenes.scene import LocalFrame, Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.scene import LocalFrame, Scene, SceneBuilder, Walkway
+from omnisyn_cli.scenes.solids import Shape
 
 
 def street(seed: int) -> Scene:

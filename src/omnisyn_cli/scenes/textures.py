@@ -9,12 +9,9 @@ Sizes and strengths inside the patterns were chosen by eye.
 import math
 from typing import NamedTuple
 
-from omnisyn_cli.scenes.kernel_decorators import kernel
-from omnisyn_cli.scenes.materials import MaterialColumn, Pattern
+from omnisyn_cli.compute.jit import fast_subkernel
+from omnisyn_cli.scenes.materials import Pattern
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
-
-(PATTERN, _, _, _, CELL_U, CELL_V, LINE, GRAIN, GRAIN_SIZE, DETAIL, _, _, SEED, _, _) = map(int, MaterialColumn)
-"""Columns of a packed material as plain numbers, which kernels need."""
 
 
 class FacePoint(NamedTuple):
@@ -37,80 +34,80 @@ class FacePoint(NamedTuple):
     variation: int
 
 
-@kernel
+@fast_subkernel
 def _visible(size, footprint):  # type: ignore[no-untyped-def]
     """How much of the variation between cells of a size survives a footprint."""
     return min(1.0, max(0.0, 1.7 - 1.6 * footprint / size))
 
 
-@kernel
+@fast_subkernel
 def _step(x, footprint):  # type: ignore[no-untyped-def]
     """Share of the footprint around x that is above zero."""
     return min(1.0, max(0.0, 0.5 + x / max(footprint, 1e-4)))
 
 
-@kernel
+@fast_subkernel
 def _inside(u, v, u0, v0, u1, v1, footprint):  # type: ignore[no-untyped-def]
     """Share of the footprint within a rectangle."""
     across = _step(u - u0, footprint) * _step(u1 - u, footprint)
     return across * _step(v - v0, footprint) * _step(v1 - v, footprint)
 
 
-@kernel
+@fast_subkernel
 def _brick(m, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    cu, cv, line = m.cell[0], m.cell[1], m.line
     row = math.floor(v / cv)
     shifted = u / cu + 0.5 * (row & 1)
     column = math.floor(shifted)
     mortar = 1.0 - (1.0 - pulse(shifted, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
     visible = _visible(min(cu, cv), fp)
-    chance = cell_hash(int(column), int(row), int(m[SEED]))
-    other = m[DETAIL] + (chance - m[DETAIL]) * visible
-    lightness = 1.0 + 0.28 * visible * (cell_hash(int(column), int(row), int(m[SEED]) + 1) - 0.5)
+    chance = cell_hash(int(column), int(row), m.seed)
+    other = m.detail + (chance - m.detail) * visible
+    lightness = 1.0 + 0.28 * visible * (cell_hash(int(column), int(row), m.seed + 1) - 0.5)
     return other, mortar, lightness, 1.0 - mortar, 1.0
 
 
-@kernel
+@fast_subkernel
 def _tiles(m, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    cu, cv, line = m.cell[0], m.cell[1], m.line
     column, row = math.floor(u / cu), math.floor(v / cv)
     joint = 1.0 - (1.0 - pulse(u / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
     visible = _visible(min(cu, cv), fp)
-    chance = cell_hash(int(column), int(row), int(m[SEED]))
-    other = m[DETAIL] + ((1.0 if chance < m[DETAIL] else 0.0) - m[DETAIL]) * visible
-    lightness = 1.0 + 0.14 * visible * (cell_hash(int(column), int(row), int(m[SEED]) + 1) - 0.5)
+    chance = cell_hash(int(column), int(row), m.seed)
+    other = m.detail + ((1.0 if chance < m.detail else 0.0) - m.detail) * visible
+    lightness = 1.0 + 0.14 * visible * (cell_hash(int(column), int(row), m.seed + 1) - 0.5)
     return other, joint, lightness, 1.0 - joint, 1.0
 
 
-@kernel
+@fast_subkernel
 def _checker(m, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv = m[CELL_U], m[CELL_V]
+    cu, cv = m.cell[0], m.cell[1]
     a = pulse(0.5 * u / cu, 0.5, 0.5 * fp / cu)
     b = pulse(0.5 * v / cv, 0.5, 0.5 * fp / cv)
-    joint = 1.0 - (1.0 - pulse(u / cu, m[LINE] / cu, fp / cu)) * (1.0 - pulse(v / cv, m[LINE] / cv, fp / cv))
+    joint = 1.0 - (1.0 - pulse(u / cu, m.line / cu, fp / cu)) * (1.0 - pulse(v / cv, m.line / cv, fp / cv))
     return a + b - 2.0 * a * b, joint * 0.6, 1.0, 1.0, 1.0
 
 
-@kernel
-def _planks(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
+@fast_subkernel
+def _planks(m, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv, line, seed = m.cell[0], m.cell[1], m.line, m.seed
     row = math.floor(v / cv)
     shifted = u / cu + cell_hash(int(row), 3, seed)
     column = math.floor(shifted)
     joint = 1.0 - (1.0 - pulse(v / cv, line / cv, fp / cv)) * (1.0 - pulse(shifted, line / cu, fp / cu))
     visible = _visible(cv, fp)
-    grain = fractal_noise(noise, u * 1.5 + 17.0 * row, v * 22.0, seed + int(column), fp * 12.0, 3)
+    grain = fractal_noise(u * 1.5 + 17.0 * row, v * 22.0, seed + int(column), fp * 12.0, 3)
     other = 0.5 + visible * (cell_hash(int(column), int(row), seed) - 0.5) + 0.9 * grain
     return min(1.0, max(0.0, other)), joint * 0.8, 1.0 + 0.5 * grain, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _facade(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
-    cu, cv, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
+    cu, cv, line, seed = m.cell[0], m.cell[1], m.line, m.seed
     columns = math.floor(2.0 * hu / cu)
     column, row = math.floor(u / cu + 0.5 * columns), math.floor(v / cv)
     x, y = u / cu + 0.5 * columns - column, v - row * cv
-    shop = row == 0 and m[DETAIL] > 0.4
+    shop = row == 0 and m.detail > 0.4
     ledge = pulse(v / cv, 0.12 / cv, fp / cv) * (0.7 if row > 0 else 0.0)
     if column < 0 or column >= columns or (row + 1) * cv > 2.0 * hv + 0.1:
         return 0.0, ledge, 1.0, 0.0, 1.0
@@ -132,29 +129,29 @@ def _facade(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
     curtain = pick > 0.55 and y > v1 - (v1 - v0) * (pick - 0.5) * 2.2
     behind = cell_hash(int(column), int(row), seed + 1)
     lightness = 0.45 + 1.1 * behind if not curtain else 2.2 + behind
-    tonal_material = 1.0 - 0.45 * glass * _step(y - (v1 - line - 0.18), 0.25)
+    tone = 1.0 - 0.45 * glass * _step(y - (v1 - line - 0.18), 0.25)
     fade = _visible(0.5 * cu, fp)
     lightness = 1.0 + glass * (1.0 + (lightness - 1.0) * fade - 1.0)
     trim = max((frame - glass) * 0.95, max(sill, ledge * (1.0 - frame)))
-    return glass, trim, lightness * tonal_material, glass, 1.0
+    return glass, trim, lightness * tone, glass, 1.0
 
 
-@kernel
+@fast_subkernel
 def _stripes(m, u, v, fp):  # type: ignore[no-untyped-def]
-    slope = 2.0 * m[DETAIL] - 1.0
-    return pulse((u + slope * v) / m[CELL_U], 0.5, fp * 1.2 / m[CELL_U]), 0.0, 1.0, 1.0, 1.0
+    slope = 2.0 * m.detail - 1.0
+    return pulse((u + slope * v) / m.cell[0], 0.5, fp * 1.2 / m.cell[0]), 0.0, 1.0, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _collage(m, u, v, fp, variation):  # type: ignore[no-untyped-def]
-    other, third, lightness, seed = 0.0, 0.0, 1.0, int(m[SEED]) + variation
+    other, third, lightness, seed = 0.0, 0.0, 1.0, m.seed + variation
     scale = 1.0
     for level in range(4):
-        cu, cv = m[CELL_U] * scale, m[CELL_V] * scale
+        cu, cv = m.cell[0] * scale, m.cell[1] * scale
         x, y = u / cu + 0.37 * level, v / cv + 0.61 * level
         column, row = math.floor(x), math.floor(y)
         chance = cell_hash(int(column), int(row), seed + level)
-        if chance < 0.35 + 0.4 * m[DETAIL] and fp < 0.8 * min(cu, cv):
+        if chance < 0.35 + 0.4 * m.detail and fp < 0.8 * min(cu, cv):
             a, b = cell_hash(int(column), int(row), seed + 31), cell_hash(int(row), int(column), seed + 47)
             x, y = x - column, y - row
             cover = _inside(x * cu, y * cv, 0.4 * a * cu, 0.4 * b * cv, (0.6 + 0.4 * b) * cu, (0.55 + 0.4 * a) * cv, fp)
@@ -166,19 +163,19 @@ def _collage(m, u, v, fp, variation):  # type: ignore[no-untyped-def]
     return other, third, lightness, 1.0, 1.0
 
 
-@kernel
-def _road(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
-    half, period, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
+@fast_subkernel
+def _road(m, u, v, fp):  # type: ignore[no-untyped-def]
+    half, period, line, seed = m.cell[0], m.cell[1], m.line, m.seed
     across = abs(u)
-    patch = fractal_noise(noise, u * 0.22, v * 0.07, seed, fp * 0.22, 3)
-    worn = 1.0 + 0.55 * fractal_noise(noise, u * 5.0, v * 5.0, seed + 9, fp * 5.0, 3)
-    speck = fractal_noise(noise, u * 21.0, v * 21.0, seed + 5, fp * 21.0, 2)
+    patch = fractal_noise(u * 0.22, v * 0.07, seed, fp * 0.22, 3)
+    worn = 1.0 + 0.55 * fractal_noise(u * 5.0, v * 5.0, seed + 9, fp * 5.0, 3)
+    speck = fractal_noise(u * 21.0, v * 21.0, seed + 5, fp * 21.0, 2)
     track = 0.06 * math.cos(across * 4.2)
-    crack = abs(smooth_noise(noise, u * 0.45 + 0.3 * patch, v * 0.3, seed + 3) - 0.5)
+    crack = abs(smooth_noise(u * 0.45 + 0.3 * patch, v * 0.3, seed + 3) - 0.5)
     crack = (1.0 - _step(crack - 0.006, 0.008 + fp)) * 0.35 * _visible(0.05, fp)
-    edge = _inside(across, 0.0, half - 0.35 - line, -1.0, half - 0.35, 1.0, fp) * (0.8 if m[DETAIL] > 0.3 else 0.0)
+    edge = _inside(across, 0.0, half - 0.35 - line, -1.0, half - 0.35, 1.0, fp) * (0.8 if m.detail > 0.3 else 0.0)
     dash = _step(0.5 * line - across, fp) * pulse(v / period, 0.42, fp / period)
-    if m[DETAIL] > 0.75:
+    if m.detail > 0.75:
         dash = _inside(across, 0.0, 0.07, -1.0, 0.07 + line, 1.0, fp)
     if half > 6.0:  # two lanes each way
         dash = max(
@@ -188,21 +185,21 @@ def _road(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
     paint = max(dash, edge) * min(1.0, max(0.0, worn * 1.1))
     on_paint = 1.0 - paint
     lightness = 1.0 + on_paint * (0.35 * patch + 0.55 * speck + 0.2 * (worn - 1.0) + track - crack)
-    return (paint, 0.0, lightness, 1.0, 1.0) if m[DETAIL] <= 0.75 or across > 1.0 else (0.0, paint, lightness, 1.0, 1.0)
+    return (paint, 0.0, lightness, 1.0, 1.0) if m.detail <= 0.75 or across > 1.0 else (0.0, paint, lightness, 1.0, 1.0)
 
 
-@kernel
-def _grass_material(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
-    seed = int(m[SEED])
-    large = fractal_noise(noise, u * 0.3, v * 0.3, seed, fp * 0.3, 4)
-    blades = fractal_noise(noise, u * 9.0, v * 9.0, seed + 4, fp * 9.0, 4)
-    dry = min(1.0, max(0.0, 0.25 + 1.1 * large + 0.4 * (m[DETAIL] - 0.5)))
+@fast_subkernel
+def _grass_material(m, u, v, fp):  # type: ignore[no-untyped-def]
+    seed = m.seed
+    large = fractal_noise(u * 0.3, v * 0.3, seed, fp * 0.3, 4)
+    blades = fractal_noise(u * 9.0, v * 9.0, seed + 4, fp * 9.0, 4)
+    dry = min(1.0, max(0.0, 0.25 + 1.1 * large + 0.4 * (m.detail - 0.5)))
     return min(1.0, max(0.0, 0.5 + blades)), dry * 0.6, 1.0 + 0.7 * blades, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _wallpaper(m, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv, seed = m[CELL_U], m[CELL_V], int(m[SEED])
+    cu, cv, seed = m.cell[0], m.cell[1], m.seed
     row = math.floor(v / cv)
     x, y = u / cu + 0.5 * (row & 1), v / cv
     x, y = abs(x - math.floor(x) - 0.5), abs(y - row - 0.5)
@@ -219,27 +216,27 @@ def _wallpaper(m, u, v, fp):  # type: ignore[no-untyped-def]
     return 0.35 + (motif - 0.35) * visible, dot * visible * 0.8, 1.0, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _panels(m, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    cu, cv, line = m.cell[0], m.cell[1], m.line
     column, row = math.floor(u / cu), math.floor(v / cv)
     joint = 1.0 - (1.0 - pulse(u / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
-    lit = (int(column) % 4 == 1 and int(row) % 3 == 1) and cell_hash(int(column), int(row), int(m[SEED])) < m[DETAIL]
+    lit = (int(column) % 4 == 1 and int(row) % 3 == 1) and cell_hash(int(column), int(row), m.seed) < m.detail
     x, y = u - column * cu, v - row * cv
     lamp = _inside(x, y, 0.06, 0.06, cu - 0.06, cv - 0.06, fp) if lit else 0.0
     return joint * (1.0 - lamp), lamp, 1.0, 1.0 - joint, lamp
 
 
-@kernel
+@fast_subkernel
 def _ribs(m, u, v, fp):  # type: ignore[no-untyped-def]
-    wave = math.cos(u / m[CELL_U] * 2.0 * math.pi) * _visible(m[CELL_U], 1.6 * fp)
-    seam = pulse(v / m[CELL_V], m[LINE] / m[CELL_V], fp / m[CELL_V])
+    wave = math.cos(u / m.cell[0] * 2.0 * math.pi) * _visible(m.cell[0], 1.6 * fp)
+    seam = pulse(v / m.cell[1], m.line / m.cell[1], fp / m.cell[1])
     return 0.5 + 0.5 * wave, seam * 0.7, 1.0 + 0.16 * wave, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _carton(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
-    seed = int(m[SEED]) + variation
+    seed = m.seed + variation
     a, b = cell_hash(variation, 1, seed), cell_hash(variation, 2, seed)
     tape = _step(0.03 - abs(u), fp) * 0.55 * (1.0 if v > 0.0 else 0.6)
     width, height = 0.05 + 0.25 * hu * (0.5 + a), 0.04 + 0.3 * hv * (0.5 + b)
@@ -253,14 +250,14 @@ def _carton(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
     return tape * (1.0 - label), label, edge * (1.0 - 0.75 * text * label), 1.0, 1.0
 
 
-@kernel
-def _picture(m, noise, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
-    line, seed = m[LINE], int(m[SEED]) + variation
+@fast_subkernel
+def _picture(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
+    line, seed = m.line, m.seed + variation
     frame = 1.0 - _inside(u, v, -hu + line, line, hu - line, 2.0 * hv - line, fp)
     mount = 1.0 - _inside(u, v, -hu + 2.4 * line, 2.4 * line, hu - 2.4 * line, 2.0 * hv - 2.4 * line, fp)
     x, y = u / hu, v / hv
-    ridge = 0.9 + 0.9 * fractal_noise(noise, 1.3 * x, 0.0, seed, fp / hu, 4)
-    paint = fractal_noise(noise, 2.0 * x, 2.5 * y, seed + 8, 2.0 * fp / hu, 4)
+    ridge = 0.9 + 0.9 * fractal_noise(1.3 * x, 0.0, seed, fp / hu, 4)
+    paint = fractal_noise(2.0 * x, 2.5 * y, seed + 8, 2.0 * fp / hu, 4)
     land = _step(ridge - y, 0.05 + fp / hv)
     other = min(1.0, max(0.0, land + 0.6 * paint))
     lightness = 0.75 + 0.5 * y * (1.0 - land) + 0.9 * paint
@@ -272,25 +269,25 @@ def _picture(m, noise, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-
     return other, frame, lightness + (1.0 - lightness) * frame, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _books(m, u, v, hv, fp, variation):  # type: ignore[no-untyped-def]
-    seed = int(m[SEED]) + variation
-    cell = math.floor(u / m[CELL_U])
+    seed = m.seed + variation
+    cell = math.floor(u / m.cell[0])
     shift = cell_hash(int(cell), 9, seed) * 0.5
-    inner = math.floor(u / m[CELL_U] + shift)
+    inner = math.floor(u / m.cell[0] + shift)
     a, b = cell_hash(int(inner), 1, seed), cell_hash(int(inner), 2, seed)
     top = 2.0 * hv * (0.68 + 0.3 * a)
     gap = 1.0 - _step(top - v, fp)
-    side = pulse(u / m[CELL_U] + shift, 0.1, fp / m[CELL_U])
+    side = pulse(u / m.cell[0] + shift, 0.1, fp / m.cell[0])
     title = _inside(0.0, v, -1.0, 0.55 * top, 1.0, (0.62 + 0.2 * b) * top, fp) * (1.0 if a < 0.6 else 0.0)
-    visible = _visible(m[CELL_U], fp)
+    visible = _visible(m.cell[0], fp)
     third = 0.3 + visible * ((1.0 if b > 0.7 else 0.0) - 0.3)
     lightness = 1.0 + visible * (0.45 + 1.1 * cell_hash(int(inner), 3, seed) - 1.0) + 0.5 * title * visible
     lightness *= (1.0 - 0.85 * gap) * (1.0 - 0.5 * side)
     return 0.5 + visible * (b - 0.5), third * (1.0 - gap), lightness, 1.0 - gap, 1.0
 
 
-@kernel
+@fast_subkernel
 def _rug(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
     margin = min(hu - abs(u), hv - abs(v - hv))
     outer = _step(0.06 - margin, fp)
@@ -300,34 +297,34 @@ def _rug(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
     return max(band, other * inner), max(outer, dot * inner), 1.0, 1.0, 1.0
 
 
-@kernel
+@fast_subkernel
 def _window(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
-    line, cu, cv = m[LINE], m[CELL_U], m[CELL_V]
+    line, cu, cv = m.line, m.cell[0], m.cell[1]
     glass = _inside(u, v, -hu + line, line, hu - line, 2.0 * hv - line, fp)
     bars = 1.0 - (1.0 - pulse(u / cu + 0.5 * line / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
     glass *= 1.0 - bars
-    drawn = cell_hash(variation, 5, int(m[SEED]))
+    drawn = cell_hash(variation, 5, m.seed)
     lightness = 0.7 + 0.6 * v / (2.0 * hv) + (0.6 if drawn > 0.6 else 0.0)
     return glass, 1.0 - glass, 1.0 + glass * (lightness - 1.0), glass, 1.0
 
 
-@kernel
-def _leaves(noise, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
-    clump = smooth_noise_3d(noise, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
-    twig = (smooth_noise_3d(noise, x * 7.0, y * 7.0, z * 7.0, variation + 3) - 0.5) * _visible(0.12, fp)
+@fast_subkernel
+def _leaves(x, y, z, fp, variation):  # type: ignore[no-untyped-def]
+    clump = smooth_noise_3d(x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
+    twig = (smooth_noise_3d(x * 7.0, y * 7.0, z * 7.0, variation + 3) - 0.5) * _visible(0.12, fp)
     leaf = 0.0
     if fp < 0.05:
-        leaf = (smooth_noise_3d(noise, x * 23.0, y * 23.0, z * 23.0, variation + 5) - 0.5) * _visible(0.04, fp)
+        leaf = (smooth_noise_3d(x * 23.0, y * 23.0, z * 23.0, variation + 5) - 0.5) * _visible(0.04, fp)
     fine = 0.6 * twig + 0.8 * leaf
     return min(1.0, max(0.0, 0.5 + clump + fine)), 0.0, 1.05 + 0.7 * clump + fine, 1.0, 1.0
 
 
-@kernel
-def pattern_at(m, noise, point, fp):  # type: ignore[no-untyped-def]  # noqa: C901
+@fast_subkernel
+def pattern_at(m, point, fp):  # type: ignore[no-untyped-def]  # noqa: C901
     """Shares of the second and third colour at a :class:`FacePoint`, and factors on brightness, gloss and glow."""
     u, v, hu, hv, x, y, z, variation = point
     # one flat list: numba compiles every level of calls again for the level above
-    pattern = int(m[PATTERN])
+    pattern = m.pattern
     result = (0.0, 0.0, 1.0, 1.0, 1.0)
     if pattern == Pattern.BRICK:
         result = _brick(m, u, v, fp)
@@ -336,7 +333,7 @@ def pattern_at(m, noise, point, fp):  # type: ignore[no-untyped-def]  # noqa: C9
     elif pattern == Pattern.CHECKER:
         result = _checker(m, u, v, fp)
     elif pattern == Pattern.PLANKS:
-        result = _planks(m, noise, u, v, fp)
+        result = _planks(m, u, v, fp)
     elif pattern == Pattern.FACADE:
         result = _facade(m, u, v, hu, hv, fp)
     elif pattern == Pattern.STRIPES:
@@ -344,13 +341,13 @@ def pattern_at(m, noise, point, fp):  # type: ignore[no-untyped-def]  # noqa: C9
     elif pattern == Pattern.COLLAGE:
         result = _collage(m, u, v, fp, variation)
     elif pattern == Pattern.ROAD:
-        return _road(m, noise, u, v, fp)
+        return _road(m, u, v, fp)
     elif pattern == Pattern.GRASS:
-        return _grass_material(m, noise, u, v, fp)
+        return _grass_material(m, u, v, fp)
     elif pattern == Pattern.WALLPAPER:
         result = _wallpaper(m, u, v, fp)
     elif pattern == Pattern.LEAVES:
-        return _leaves(noise, x, y, z, fp, variation)
+        return _leaves(x, y, z, fp, variation)
     elif pattern == Pattern.PANELS:
         result = _panels(m, u, v, fp)
     elif pattern == Pattern.RIBS:
@@ -358,7 +355,7 @@ def pattern_at(m, noise, point, fp):  # type: ignore[no-untyped-def]  # noqa: C9
     elif pattern == Pattern.CARTON:
         result = _carton(m, u, v, hu, hv, fp, variation)
     elif pattern == Pattern.PICTURE:
-        result = _picture(m, noise, u, v, hu, hv, fp, variation)
+        result = _picture(m, u, v, hu, hv, fp, variation)
     elif pattern == Pattern.BOOKS:
         result = _books(m, u, v, hv, fp, variation)
     elif pattern == Pattern.RUG:
@@ -366,24 +363,24 @@ def pattern_at(m, noise, point, fp):  # type: ignore[no-untyped-def]  # noqa: C9
     elif pattern == Pattern.WINDOW:
         result = _window(m, u, v, hu, hv, fp, variation)
     second, third, lightness, gloss, glow = result
-    if m[GRAIN] > 0.0:
-        size, seed = m[GRAIN_SIZE], int(m[SEED]) + variation
-        grain = fractal_noise(noise, (u + variation) / size, v / size, seed, fp / size, 5)
+    if m.grain > 0.0:
+        size, seed = m.grain_size, m.seed + variation
+        grain = fractal_noise((u + variation) / size, v / size, seed, fp / size, 5)
         if pattern == Pattern.PLAIN:  # stains
-            second = min(1.0, max(0.0, (grain + m[DETAIL] - 0.5) * 1.6))
-        lightness *= 1.0 + 2.0 * m[GRAIN] * grain
+            second = min(1.0, max(0.0, (grain + m.detail - 0.5) * 1.6))
+        lightness *= 1.0 + 2.0 * m.grain * grain
     return second, third, lightness, gloss, glow
 
 
-@kernel
-def is_hole(m, noise, point):  # type: ignore[no-untyped-def]
+@fast_subkernel
+def is_hole(m, point):  # type: ignore[no-untyped-def]
     """Whether a ray passes between leaves, bars or wires at a :class:`FacePoint`."""
     u, v, _, hv, x, y, z, variation = point
-    pattern = int(m[PATTERN])
+    pattern = m.pattern
     if pattern == Pattern.LEAVES:
-        size = m[CELL_U]
-        return smooth_noise_3d(noise, x / size, y / size, z / size, int(m[SEED]) + variation) > 1.0 - 0.62 * m[DETAIL]
-    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+        size = m.cell[0]
+        return smooth_noise_3d(x / size, y / size, z / size, m.seed + variation) > 1.0 - 0.62 * m.detail
+    cu, cv, line = m.cell[0], m.cell[1], m.line
     if pattern == Pattern.BARS:
         fence = u / cu
         rail = v < line or v > 2.0 * hv - line or abs(v - 0.18 * hv) < 0.5 * line

@@ -10,7 +10,8 @@ from omnisyn_cli.scenes.finishes import floor_finish, wall_finish
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder
+from omnisyn_cli.scenes.solids import Shape
 
 SLAB_THICKNESS = 0.06
 """Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""

@@ -67,7 +67,7 @@ def test_all_views_agree_about_the_colour_of_a_point():
     for position in (EYE, EYE + np.array([0.8, 0.1, 0.9])):
         directions = points - position
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        hits = scene.caster.hits(np.broadcast_to(position, directions.shape), directions)
+        hits = scene.caster.hits(position[None], directions)
         normals = np.broadcast_to([0.0, 1.0, 0.0], points.shape)
         light = scene.lighting.at(scene.caster, position + directions * hits.distance[:, None], normals)
         shown.append(light)
@@ -103,7 +103,7 @@ def test_vertex_colours_are_interpolated_where_there_is_no_texture():
     )  # fmt: skip
     scene = lit(coloured)
     hits = scene.caster.hits(np.array([EYE]), np.array([[1.0, 0.0, 0.0]]))
-    colour = scene.colours.at(hits, np.array([[3.0, 1.5, -0.4]]), np.array([[-1.0, 0.0, 0.0]]), 0.01)
+    colour = scene.colours.at(hits, 0.01)
     np.testing.assert_allclose(colour, 0.5, atol=1e-6)
 
 

@@ -66,7 +66,7 @@ class Place:
 def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place | None:
     """What a camera there would see; None where none should stand."""
     directions = sphere_directions(RAYS)
-    hits = caster.hits(np.broadcast_to(position, directions.shape), directions)
+    hits = caster.hits(position[None], directions)
     found = hits.is_hit
     below = directions[:, 1] < -0.6
     if found.mean() < MIN_ENCLOSED_SHARE or found[below].mean() < MIN_FLOOR_SHARE:

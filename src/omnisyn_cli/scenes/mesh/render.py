@@ -1,22 +1,22 @@
-"""A panorama of a mesh: colours from several samples a pixel, exact depth from its centre."""
+"""A panorama: colours from several samples a pixel, exact depth from its centre; and how meshes are drawn in it."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Float32
 
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_direction
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.scenes.mesh.lighting import Lighting
-from omnisyn_cli.scenes.mesh.raycast import Hits, MeshCaster
+from omnisyn_cli.scenes.mesh.raycast import Caster, Hits, MeshCaster
 from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
 
-__all__ = ["MeshScene", "render_mesh"]
-
-SHINING = 3.0
-"""Light of what is emissive."""
+__all__ = ["Drawable", "MeshScene", "render", "render_mesh"]
 
 SHOULDER = 0.6
 """Light up to which the picture is proportional to it; beyond that it nears 1."""
@@ -32,6 +32,64 @@ SAME_SURFACE = 0.02
 
 SAME_NORMAL = 0.95
 """Least cosine between normals that share light."""
+
+BAND_ROWS = 16
+"""Rows of a picture that are drawn at once; chosen by timing."""
+
+
+Shader = Callable[[Hits, float, int], Float[np.ndarray, "rays 3"]]
+"""Colours (sRGB in [0, 1]) of one sample of every pixel: what is seen, radians between samples, and which sample."""
+
+
+class Drawable(Protocol):
+    """What a panorama can be drawn of."""
+
+    @property
+    def caster(self) -> Caster:
+        """What rays hit."""
+
+    def shader(self, centre: Hits) -> Shader:
+        """For samples of pixels whose centres see this."""
+
+
+def render(
+    scene: Drawable, pose: Pose, size: tuple[int, int], supersample: int, threads: int | None = None
+) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
+    """Render one panorama.
+
+    Args:
+        scene: what is drawn.
+        pose: world from camera, y up.
+        size: ``(height, width)``.
+        supersample: colour samples per pixel along each axis.
+        threads: None for one per core; the result does not depend on it.
+
+    Returns:
+        ``(image, depth)``: RGB in [0, 1], and Euclidean metres along the ray of the pixel's centre, inf where there is
+        nothing.
+    """
+    height, width = size
+    image, depth = np.zeros((height, width, 3), np.float32), np.empty((height, width), np.float32)
+    fine, pixel = (height * supersample, width * supersample), math.pi / height / supersample
+
+    def hits(begin: int, end: int, step: int, row: int, col: int, grid: tuple[int, int]) -> Hits:
+        rows, cols = np.arange(begin, end) * step + row, np.arange(width) * step + col
+        directions = pixel_to_direction(rows[:, None], cols[None], grid).reshape(-1, 3)
+        return scene.caster.hits(pose.position[None], directions @ pose.rotation.T)
+
+    def draw(first_band: int, last_band: int) -> None:
+        for begin in range(first_band * BAND_ROWS, min(height, last_band * BAND_ROWS), BAND_ROWS):
+            end = min(height, begin + BAND_ROWS)
+            centre = hits(begin, end, 1, 0, 0, size)
+            depth[begin:end] = centre.distance.reshape(-1, width)
+            shade, total = scene.shader(centre), np.zeros((end - begin, width, 3))
+            for sample in range(supersample**2):
+                seen = hits(begin, end, supersample, *divmod(sample, supersample), fine)
+                total += shade(seen, pixel, sample).reshape(total.shape) ** 2  # light adds up, not its roots
+            image[begin:end] = np.sqrt(total) / supersample
+
+    run_ranges(draw, -(-height // BAND_ROWS), threads)
+    return image, depth
 
 
 @dataclass(frozen=True)
@@ -53,124 +111,53 @@ class MeshScene:
     @staticmethod
     def of(mesh: TexturedMesh, lighting: Lighting, caster: MeshCaster | None = None) -> "MeshScene":
         """A scene without a fixed exposure."""
-        return MeshScene(caster or MeshCaster(mesh), SurfaceColours(mesh), lighting)
+        caster = caster or MeshCaster(mesh)
+        return MeshScene(caster, SurfaceColours(caster), lighting)
 
     def exposed_at(self, pose: Pose) -> "MeshScene":
         """The scene with the exposure that suits a camera, for all pictures of a walk."""
-        seen = _seen(self.caster, pose, pixel_directions(32, 64).reshape(-1, 3))
-        if not len(seen.rays):
+        seen = self.caster.hits(pose.position[None], pixel_directions(32, 64).reshape(-1, 3) @ pose.rotation.T)
+        seen = seen.only(np.flatnonzero(seen.is_hit))
+        if not len(seen.face):
             return replace(self, exposure=1.0)
-        shown = self.colours.at(seen.hits, seen.points, seen.normals, math.pi / 32) ** 2 * self.light(seen)
+        shown = self.colours.at(seen, math.pi / 32) ** 2 * self.light(seen)
         bright = float(np.percentile(shown.mean(axis=1), 60))
         return replace(self, exposure=float(np.clip(MIDDLE_GREY / max(bright, 1e-3), *EXPOSURES)))
 
-    def light(self, seen: "Seen") -> Float[np.ndarray, "seen 3"]:
+    def light(self, hits: Hits) -> Float[np.ndarray, "hits 3"]:
         """What shines on points: baked light where there is some, else the lighting."""
-        light = self.colours.light(seen.hits)
-        mesh = self.caster.mesh
-        shines = np.array([material.is_emissive for material in mesh.materials])[mesh.face_material[seen.hits.face]]
-        light[shines] = SHINING
-        dark = np.isnan(light[:, 0])
-        light[dark] = self.lighting.at(self.caster, seen.points[dark], seen.normals[dark])
+        light = self.colours.light(hits)
+        dark = np.flatnonzero(np.isnan(light[:, 0]))
+        unlit = hits.only(dark)
+        light[dark] = self.lighting.at(self.caster, unlit.points, self.caster.facing_normals(unlit))
         return light
 
+    def shader(self, centre: Hits) -> Shader:
+        """Light is computed once a pixel, and again for samples that lie on another surface than its centre."""
+        light, points, normals = (np.full((len(centre.face), 3), np.nan) for _ in range(3))
+        rays = np.flatnonzero(centre.is_hit)
+        seen = centre.only(rays)
+        light[rays], points[rays], normals[rays] = self.light(seen), seen.points, self.caster.facing_normals(seen)
 
-@dataclass(frozen=True)
-class Seen:
-    """Where the rays of a camera that hit something hit it.
+        def shade(hits: Hits, pixel: float, sample: int) -> Float[np.ndarray, "rays 3"]:
+            rays = np.flatnonzero(hits.is_hit)
+            seen, plane, shared = hits.only(rays), normals[rays], light[rays]
+            apart = np.abs(np.einsum("ij,ij->i", seen.points - points[rays], plane))
+            aligned = np.einsum("ij,ij->i", self.caster.facing_normals(seen), plane)
+            own = np.flatnonzero(~((apart < SAME_SURFACE * seen.distance) & (aligned > SAME_NORMAL)))  # and where NaN
+            shared[own] = self.light(seen.only(own))
+            colours = self.lighting.background(hits.directions)
+            colours[rays] = developed(self.colours.at(seen, pixel) ** 2 * shared, self.exposure or 1.0)
+            return colours
 
-    Attributes:
-        rays: ``(seen,)`` which rays these are.
-        hits: what they hit.
-        points: ``(seen, 3)``.
-        normals: ``(seen, 3)`` towards the camera.
-    """
-
-    rays: Int64[np.ndarray, " seen"]
-    hits: Hits
-    points: Float[np.ndarray, "seen 3"]
-    normals: Float[np.ndarray, "seen 3"]
-
-    def only(self, chosen: Int64[np.ndarray, " chosen"]) -> "Seen":
-        """Some of them."""
-        hits = Hits(self.hits.face[chosen], self.hits.distance[chosen], self.hits.barycentric[chosen])
-        return Seen(self.rays[chosen], hits, self.points[chosen], self.normals[chosen])
-
-
-def _seen(caster: MeshCaster, pose: Pose, directions: Float[np.ndarray, "rays 3"]) -> Seen:
-    """What a camera sees along directions of its own frame."""
-    world = directions @ pose.rotation.T
-    hits = caster.hits(np.broadcast_to(pose.position, world.shape), world)
-    rays = np.flatnonzero(hits.is_hit)
-    found = Hits(hits.face[rays], hits.distance[rays], hits.barycentric[rays])
-    points = pose.position + world[rays] * found.distance[:, None]
-    normals = caster.normals[found.face]
-    is_behind = np.einsum("ij,ij->i", normals, world[rays]) > 0
-    return Seen(rays, found, points, np.where(is_behind[:, None], -normals, normals))
+        return shade
 
 
 def render_mesh(
-    scene: MeshScene, pose: Pose, size: tuple[int, int], *, supersample: int = 2
+    scene: MeshScene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
-    """Render one panorama.
-
-    Light is computed once a pixel, and again for samples that lie on another surface than its centre.
-
-    Args:
-        scene: with or without an exposure.
-        pose: world from camera, y up.
-        size: ``(height, width)``.
-        supersample: colour samples per pixel along each axis.
-
-    Returns:
-        ``(image, depth)``: RGB in [0, 1], and Euclidean metres along the ray of the pixel's centre, inf where there is
-        nothing.
-    """
-    if scene.exposure is None:
-        scene = scene.exposed_at(pose)
-    height, width = size
-    centre = _seen(scene.caster, pose, pixel_directions(height, width).reshape(-1, 3))
-    depth = np.full(height * width, np.inf, np.float32)
-    depth[centre.rays] = centre.hits.distance
-    light, points, normals = (np.full((height * width, 3), np.nan) for _ in range(3))
-    light[centre.rays], points[centre.rays], normals[centre.rays] = scene.light(centre), centre.points, centre.normals
-    total = np.zeros((height * width, 3))
-    fine, pixel = pixel_directions(height * supersample, width * supersample), math.pi / height / supersample
-    for row in range(supersample):
-        for col in range(supersample):
-            directions = fine[row::supersample, col::supersample].reshape(-1, 3)
-            total += _sample(scene, pose, directions, (light, points, normals), pixel)
-    image = (total / supersample**2).astype(np.float32).reshape(height, width, 3)
-    return image, depth.reshape(height, width)
-
-
-def _sample(
-    scene: MeshScene,
-    pose: Pose,
-    directions: Float[np.ndarray, "pixels 3"],
-    centre: tuple[np.ndarray, np.ndarray, np.ndarray],
-    pixel: float,
-) -> Float[np.ndarray, "pixels 3"]:
-    """Colours of one sample of every pixel, sRGB in [0, 1].
-
-    Args:
-        scene: with an exposure.
-        pose: of the camera.
-        directions: of the samples, in its frame.
-        centre: light, point and normal at the centre of each pixel, NaN where nothing is.
-        pixel: radians between samples.
-    """
-    seen = _seen(scene.caster, pose, directions)
-    centre_light, centre_point, centre_normal = (values[seen.rays] for values in centre)
-    apart = np.abs(np.einsum("ij,ij->i", seen.points - centre_point, centre_normal))
-    aligned = np.einsum("ij,ij->i", seen.normals, centre_normal)
-    shares_light = (apart < SAME_SURFACE * seen.hits.distance) & (aligned > SAME_NORMAL)  # False where NaN
-    light, own = centre_light, np.flatnonzero(~shares_light)
-    light[own] = scene.light(seen.only(own))
-    albedo = scene.colours.at(seen.hits, seen.points, seen.normals, pixel) ** 2
-    colours = scene.lighting.background(directions @ pose.rotation.T)
-    colours[seen.rays] = developed(albedo * light, scene.exposure or 1.0)
-    return colours
+    """:func:`render` of a mesh, with the exposure that suits the pose where the scene has none."""
+    return render(scene if scene.exposure else scene.exposed_at(pose), pose, size, supersample, threads)
 
 
 def developed(light: Float[np.ndarray, "*shape"], exposure: float) -> Float[np.ndarray, "*shape"]:

@@ -5,9 +5,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
-from omnisyn_cli.scenes.mesh.raycast import Hits
+from omnisyn_cli.scenes.mesh.raycast import Hits, MeshCaster
 
 __all__ = ["SurfaceColours"]
+
+SHINING = 3.0
+"""Light of what is emissive."""
 
 MIP_LEVELS = 10
 """At most: textures of 1024 texels come down to 2."""
@@ -17,33 +20,20 @@ class SurfaceColours:
     """Textures of a mesh, ready to be looked up.
 
     Args:
-        mesh: with its materials.
+        caster: of the mesh.
     """
 
-    def __init__(self, mesh: TexturedMesh) -> None:
-        self.mesh = mesh
-        self._pyramids = [_pyramid(material.texture) for material in mesh.materials]
-        self._texels = _texels_per_metre(mesh)
+    def __init__(self, caster: MeshCaster) -> None:
+        self._caster, self._mesh = caster, caster.mesh
+        self._pyramids = [_pyramid(material.texture) for material in caster.mesh.materials]
+        self._texels = _texels_per_metre(caster.mesh)
 
-    def at(
-        self,
-        hits: Hits,
-        points: Float[np.ndarray, "rays 3"],
-        normals: Float[np.ndarray, "rays 3"],
-        pixel: float,
-    ) -> Float[np.ndarray, "rays 3"]:
-        """Colours (sRGB in [0, 1]) of what was hit.
-
-        Args:
-            hits: all of them hit something.
-            points: where.
-            normals: of the surfaces.
-            pixel: radians between neighbouring samples.
-        """
-        mesh = self.mesh
-        corners = mesh.faces[hits.face]
+    def at(self, hits: Hits, pixel: float) -> Float[np.ndarray, "rays 3"]:
+        """Colours (sRGB in [0, 1]) of what was hit, all of it something; ``pixel`` radians are between samples."""
+        mesh, points = self._mesh, hits.points
+        corners, weights = mesh.faces[hits.face], self._caster.barycentric(hits.face, points)
         material = mesh.face_material[hits.face]
-        uv = np.einsum("ij,ijk->ik", hits.barycentric, mesh.uv[corners])
+        uv = _interpolated(weights, mesh.uv[corners])
         footprint = hits.distance * pixel * self._texels[hits.face]  # texels between samples, before any projection
         colours = np.empty((len(points), 3))
         for index in np.unique(material):
@@ -52,27 +42,35 @@ class SurfaceColours:
             if pyramid:
                 at, texels = uv[rows], footprint[rows]
                 if kind.tile is not None:
-                    at = projected(points[rows], normals[rows]) / kind.tile
+                    at = projected(points[rows], self._caster.normals[hits.face[rows]]) / kind.tile
                     texels = hits.distance[rows] * pixel * pyramid[0].shape[1] / kind.tile
                 colours[rows] = _filtered(pyramid, at, texels)
             elif mesh.vertex_colours is not None:
-                own = mesh.vertex_colours[corners[rows]]
-                colours[rows] = np.einsum("ij,ijk->ik", hits.barycentric[rows], own)
+                colours[rows] = _interpolated(weights[rows], mesh.vertex_colours[corners[rows]])
             else:
                 colours[rows] = kind.colour
         return colours
 
     def light(self, hits: Hits) -> Float[np.ndarray, "rays 3"]:
-        """Baked light of what was hit; NaN where there is none."""
-        mesh = self.mesh
+        """Light of what was hit that does not depend on the lighting: baked, or its own; NaN where there is none."""
+        mesh = self._mesh
         light = np.full((len(hits.face), 3), np.nan)
-        material = mesh.face_material[hits.face]
-        is_baked = np.array([m.is_lightmapped for m in mesh.materials])[material]
+        is_baked, is_lit, is_emissive = (
+            np.array([getattr(m, name) for m in mesh.materials])[mesh.face_material[hits.face]]
+            for name in ("is_lightmapped", "is_lit", "is_emissive")
+        )
         if mesh.light_map is not None and mesh.light_uv is not None and is_baked.any():
-            uv = np.einsum("ij,ijk->ik", hits.barycentric[is_baked], mesh.light_uv[mesh.faces[hits.face[is_baked]]])
-            light[is_baked] = bilinear(mesh.light_map, np.clip(uv, 0.0, 1.0))
-        light[np.array([m.is_lit for m in mesh.materials])[material]] = 1.0
+            face = hits.face[is_baked]
+            weights = self._caster.barycentric(face, hits.points[is_baked])
+            light[is_baked] = bilinear(
+                mesh.light_map, np.clip(_interpolated(weights, mesh.light_uv[mesh.faces[face]]), 0.0, 1.0)
+            )
+        light[is_lit], light[is_emissive] = 1.0, SHINING
         return light
+
+
+def _interpolated(weights: Float[np.ndarray, "n 3"], values: Float[np.ndarray, "n 3 k"]) -> Float[np.ndarray, "n k"]:
+    return np.asarray(np.einsum("ij,ijk->ik", weights, values))
 
 
 def projected(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
