@@ -15,7 +15,7 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.scenes import generate_scene, pack_photos, render_panorama, sample_path
 from omnisyn_cli.scenes.materials import Material, Pattern, pack_materials
 from omnisyn_cli.scenes.noise import cell_hash
-from omnisyn_cli.scenes.photos import PhotoMapping, with_photos
+from omnisyn_cli.scenes.photos import PhotoMapping
 from omnisyn_cli.scenes.shader import photo_at
 from omnisyn_cli.scenes.textures import FacePoint
 from omnisyn_cli.training.data import load_scene
@@ -174,8 +174,7 @@ def test_equal_seeds_and_photographs_make_equal_scenes(photos):
 def test_photographs_are_mixed_with_procedural_materials_and_used_for_everything():
     photos, shares, used, wide = pack_photos(photographs(9)), [], set(), []
     for seed in range(12):
-        scene = generate_scene("street" if seed % 2 else "room", seed)
-        materials = with_photos(scene, photos, seed).materials
+        materials = generate_scene("street" if seed % 2 else "room", seed, photos).materials
         chosen = materials[materials["photo"] >= 0]
         shares.append(len(chosen) / len(materials))
         used |= set(zip(chosen["pattern"].tolist(), chosen["photo_mapping"].tolist(), strict=True))

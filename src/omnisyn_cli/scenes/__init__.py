@@ -5,6 +5,7 @@ their pictures.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from omnisyn_cli.scenes.home import home
 from omnisyn_cli.scenes.jumble import jumble, yard
@@ -45,4 +46,7 @@ def generate_scene(kind: str, seed: int, photos: Photos | None = None) -> Scene:
     if kind not in GENERATORS or seed < 0:
         raise ValueError(f"expected a kind of {', '.join(GENERATORS)} and a seed from 0 on, got {kind!r} and {seed}")
     scene = GENERATORS[kind](seed)
-    return scene if photos is None else with_photos(scene, photos, seed)
+    if photos is None:
+        return scene
+    ground = int(scene.shapes["material"][0, 0])
+    return replace(scene, materials=with_photos(scene.materials, ground, photos, seed), photos=photos)

@@ -6,18 +6,14 @@ seam; what repeats itself is hidden by noise on walls, and by patches that are t
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from jaxtyping import Int64, UInt8
 
 from omnisyn_cli.scenes.materials import Pattern
-
-if TYPE_CHECKING:
-    from omnisyn_cli.scenes.scene import Scene
 
 MIP_LEVELS = 12
 """Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated."""
@@ -108,11 +104,11 @@ def _mip_levels(image: UInt8[np.ndarray, "height width 3"]) -> list[np.ndarray]:
     return levels
 
 
-def with_photos(scene: "Scene", photos: Photos, seed: int) -> "Scene":
-    """A scene some of whose materials are photographs, by chance; equal arguments give equal scenes."""
+def with_photos(materials: np.ndarray, ground: int, photos: Photos, seed: int) -> np.ndarray:
+    """Packed materials, some of which show photographs, by chance; ``ground`` is the row of that of the ground."""
     rng = np.random.default_rng([41, seed])
     share = rng.uniform(*PHOTO_SHARE_RANGE)
-    materials, ground = scene.materials.copy(), scene.shapes["material"][0, 0]
+    materials = materials.copy()
     for row, material in enumerate(materials):
         pattern = Pattern(material["pattern"])
         chance, photo, draws = rng.random(), int(rng.integers(len(photos.levels))), rng.random(3)
@@ -125,4 +121,4 @@ def with_photos(scene: "Scene", photos: Photos, seed: int) -> "Scene":
         material["photo_width"] = min_width * math.exp(draws[1] * math.log(max_width / min_width))
         material["photo_seed"] = 1 + int(draws[2] * 1e4)
         material["has_patches"] = row == ground or pattern in GROUND_PATTERNS
-    return replace(scene, materials=materials, photos=photos)
+    return materials
