@@ -16,7 +16,7 @@ KINDS = {
     "examples": {".html", ".jpg", ".json", ".md", ".py"},
     "models": {".md", ".onnx", ".pt", ".toml"},
     "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
-    "tests": {".json", ".npz", ".py"},
+    "tests": {".json", ".py"},
 }
 """Folders at the root, and the endings of files in them."""
 
