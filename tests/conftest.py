@@ -2,7 +2,6 @@
 
 import os
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import pytest
 from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
-os.environ["OMNISYN_CACHE_DIR"] = tempfile.mkdtemp(prefix="omnisyn-tests-")  # runs are not remembered
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # who waits for a core lets others have theirs
 install_import_hook("omnisyn_cli.geometry", "typechecker.check").__enter__()
 

@@ -34,7 +34,7 @@ MOST_ENTRIES = 24
 """In the package itself: more rooms than that and nobody finds the right one."""
 
 TORCH = (
-    "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation", "omnisyn_cli.synthesis.device",
+    "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation",
     "omnisyn_cli.render.rasterize_torch", "omnisyn_cli.baselines.soft_points_torch",
 )  # fmt: skip
 """Modules that may import torch at their top."""

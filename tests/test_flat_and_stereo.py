@@ -96,7 +96,6 @@ def test_looks(tmp_path: Path) -> None:
     [({"fov": 1.0}, "no --fov with a 360° video"), ({"look": "ahead"}, "no --look with a 360° video"),
      ({"projection": "flat", "heading": "fixed"}, "no --heading with --view flat"),
      ({"projection": "flat", "stereo": "top-bottom"}, "no --stereo with --view flat"),
-     ({"projection": "flat", "device": "cuda"}, "no --device cuda with --view flat"),
      ({"stereo": "top-bottom", "method": "synsin"}, "no --method with --stereo top-bottom"),
      ({"projection": "fisheye"}, "equirectangular, flat as projection")],
 )  # fmt: skip

@@ -1,16 +1,12 @@
 """``omnisyn bench`` from the command line, and ``interpolate --budget``, which chooses by its figures."""
 
 import json
-import re
 from pathlib import Path
-from typing import NoReturn
 
 import pytest
 
 from cli.cli_samples import Omnisyn, listing, write_pair
 from omnisyn_cli.cli.bench import LAYOUTS
-from omnisyn_cli.compute.jit import announce_compiling, when_compiling
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench_settings
 from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob
@@ -163,30 +159,6 @@ def test_what_a_budget_does_not_go_with(
     assert message in result.err
 
 
-def test_a_dry_run_says_how_long_it_will_take_and_how_that_is_known(omnisyn: Omnisyn, images: list[Path]) -> None:
+def test_a_dry_run_says_how_long_it_will_take(omnisyn: Omnisyn, images: list[Path]) -> None:
     plan = omnisyn.json(*job_of(images, "--dry-run"))
     assert plan["expected_seconds"] > 0
-    assert re.search("a guess|former run", plan["expected_from"])
-
-
-def test_a_run_is_remembered_and_one_that_compiles_is_not(
-    omnisyn: Omnisyn, images: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    remembered: list[object] = []
-    monkeypatch.setattr(
-        "omnisyn_cli.interpolation.planning.duration.remember_run", lambda summary, _: remembered.append(summary)
-    )
-    make = job_of(images, "-q", "--overwrite")
-    with when_compiling(lambda: None):  # the first run here may compile
-        omnisyn(*make)
-    remembered.clear()
-    assert omnisyn(*make).code == 0
-    assert len(remembered) == 1
-
-    def compile_first(*_: object, **__: object) -> NoReturn:
-        announce_compiling()
-        raise InputError("enough")
-
-    monkeypatch.setattr("omnisyn_cli.interpolation.run.run_interpolation", compile_first)
-    assert omnisyn(*make).code == 3
-    assert len(remembered) == 1

@@ -1,8 +1,7 @@
-"""How long a job takes: its work by figures, its pace by former runs; and the preset that a budget takes."""
+"""How long a job takes: by a table; and the preset that a budget takes."""
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,23 +10,16 @@ import pytest
 
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.interpolation.planning import budget, duration
 from omnisyn_cli.interpolation.planning.budget import choose_preset
 from omnisyn_cli.interpolation.planning.duration import (
     Duration,
-    Run,
-    Work,
     expected_duration,
     probe,
     range_in_words,
-    remember_run,
-    remembered_runs,
-    work_of,
 )
 from omnisyn_cli.interpolation.planning.figures import Figures, Setting, gain
-from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.presets import PRESETS, SCALE
 from synthesis_samples import write_hall
@@ -55,13 +47,11 @@ TABLE_NAME = (
 
 
 @pytest.fixture(autouse=True)
-def memory(tmp_path, monkeypatch):
-    """Where runs are remembered; this machine is as fast as that of the table."""
-    monkeypatch.setenv("OMNISYN_CACHE_DIR", str(tmp_path / "cache"))
+def same_machine(monkeypatch):
+    """This machine is as fast as that of the table."""
     monkeypatch.setattr(duration, "probe", lambda: 0.01)
     monkeypatch.setattr(duration, "shipped_table", lambda: TABLE_NAME)
     monkeypatch.setattr(budget, "shipped_table", lambda: TABLE_NAME)
-    return tmp_path / "cache"
 
 
 @pytest.fixture
@@ -69,13 +59,6 @@ def plan(tmp_path):
     """Ten frames between two panoramas of 128x64."""
     images = write_hall(tmp_path, CHAIN[:2], (64, 128), with_depth=False)
     return plan_interpolation(job_of(tmp_path, images, frames=12, threads=1, output=tmp_path / "out.mp4"))
-
-
-def work(plan: InterpolationPlan, table: Sequence[Figures] = TABLE_NAME) -> Work:
-    """Of a job that was measured."""
-    found = work_of(plan, table)
-    assert found is not None
-    return found
 
 
 def expected(plan: InterpolationPlan) -> Duration:
@@ -90,52 +73,40 @@ def chain_of(plan: InterpolationPlan, panoramas: int, frames: int) -> Interpolat
     return replace(plan, entries=plan.entries[:1] * panoramas, path=path)
 
 
-def test_work_is_once_plus_pairs_plus_frames(plan):
-    once = work(plan)
-    assert (once.start, once.pairs, once.frames) == pytest.approx((3.0, 0.2 + 10.0 + 0.5 + 0.3, 10 * 0.2))
-    tour = work(chain_of(plan, 4, 104))
-    assert (tour.pairs, tour.frames) == pytest.approx((2 * 0.2 + 3 * 10.8, 100 * 0.2))
+def test_the_time_is_once_plus_pairs_plus_frames(plan):
+    assert expected(plan).seconds == pytest.approx(3.0 + 0.2 + 10.0 + 0.5 + 0.3 + 10 * 0.2)
+    assert expected(chain_of(plan, 4, 104)).seconds == pytest.approx(3.0 + 2 * 0.2 + 3 * 10.8 + 100 * 0.2)
+    known = replace(plan, config=plan.config.of_known_depth())
+    assert expected(plan).seconds - expected(known).seconds == pytest.approx(10.0)
+    assert expected(plan).seconds - expected(with_preset(plan, "fast")).seconds == pytest.approx(8.0)
 
 
-def test_stages_have_the_figures_of_what_they_depend_on(plan):
-    """Depth that of its rows, frames those of their renderer and of their fusion; whatever else there is."""
-    base = plan.config
-    two_pass = figures_of(replace(base, renderer="two-pass"), seconds={**SECONDS, "render": 1.0})
-    closer = figures_of(replace(base, fusion_rows=128), seconds={**SECONDS, "fuse": 3.04})
-    both = replace(plan, config=replace(base, renderer="two-pass", fusion_rows=128))
-    usual, asked = (work(each, (*TABLE_NAME, two_pass, closer)) for each in (plan, both))
-    assert asked.frames - usual.frames == pytest.approx(10 * (0.9 + 3.0))
-    assert asked.pairs == usual.pairs
-    assert usual.pairs - work(with_preset(plan, "fast")).pairs == pytest.approx(8.0)
+def test_frames_have_the_figures_of_their_renderer_and_fusion(plan):
+    other = replace(plan.config, renderer="two-pass", fusion="geometric")
+    slower = figures_of(other, seconds={**SECONDS, "render": 1.0})
+    usual, asked = (
+        expected_duration(replace(plan, config=config), (*TABLE_NAME, slower)) for config in (plan.config, other)
+    )
+    assert asked.seconds - usual.seconds == pytest.approx(10 * 0.9)
 
 
 def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan):
     """A mesh costs the same in every size, so a frame of four times the pixels does not take four times as long."""
     config = replace(plan.config, adaptive=True, fallback="none")  # as it was measured
-    large = figures_of(config, 128, seconds={**SECONDS, "render": 0.16}, pairs=1)
-    table = (*TABLE_NAME, large)
+    table = (*TABLE_NAME, figures_of(config, 128, seconds={**SECONDS, "render": 0.16}, pairs=1))
 
-    def render(rows: int) -> float:
-        whole, without = (
-            work(replace(plan, size=(rows, 2 * rows)), [replace(f, seconds={**f.seconds, **zero}) for f in table])
-            for zero in ({}, {"render": 0.0})
-        )
-        return (whole.frames - without.frames) / 10
+    def frame(rows: int) -> float:
+        found = [expected_duration(chain_of(replace(plan, size=(rows, 2 * rows)), 2, n), table) for n in (2, 12)]
+        return (found[1].seconds - found[0].seconds) / 10
 
-    assert [render(rows) for rows in (64, 128)] == pytest.approx([0.1, 0.16])
-    assert 0.1 < render(96) < 0.16
-    assert render(256) == pytest.approx(4 * 0.16)
-    assert render(32) == pytest.approx(0.1 / 4)
-
-
-def test_depth_from_files_takes_no_time_to_find(plan):
-    known = replace(plan, config=plan.config.of_known_depth())
-    assert work(plan).pairs - work(known).pairs == pytest.approx(10.0)
+    assert [frame(rows) for rows in (64, 128)] == pytest.approx([0.2, 0.26])
+    assert 0.2 < frame(96) < 0.26
+    assert (frame(256), frame(32)) == pytest.approx((4 * 0.26, 0.2 / 4))
 
 
 @pytest.mark.parametrize(
     "config",
-    [RunConfig(method="synsin"), PRESETS["paper"].config, replace(SCALE["fast"].config, is_on_gpu=True)],
+    [RunConfig(method="synsin"), PRESETS["paper"].config],
 )
 def test_what_was_not_measured_is_not_guessed(plan, config):
     assert expected_duration(replace(plan, config=config), TABLE_NAME) is None
@@ -145,66 +116,7 @@ def test_the_first_guess_is_by_the_pace_of_a_small_piece_of_work(plan, monkeypat
     once = expected(plan)
     monkeypatch.setattr(duration, "probe", lambda: 0.02)
     twice = expected(plan)
-    assert once.seconds == pytest.approx(3.0 + 11.0 + 2.0)
     assert twice.seconds == pytest.approx(2 * once.seconds)
-    assert "a guess" in once.source
-
-
-def summary_of(plan: InterpolationPlan, pairs: float, frames: float) -> Summary:
-    return Summary(plan, {"decode": 0.0, "depth": pairs, "render": frames / 2, "total": pairs + frames})
-
-
-def test_a_run_makes_the_next_expectation_its_own(plan, memory):
-    """A machine whose depth is half as fast and whose frames are three times as fast as the table says."""
-    plan = chain_of(plan, 2, 92)
-    remember_run(summary_of(plan, 22.0, 6.0))
-    assert expected(plan).seconds == pytest.approx(3.0 + 22.0 + 6.0)
-    assert expected(plan).source == "by the pace of 1 former run on this machine"
-    assert remembered_runs() == [Run(1, 64 * 128, pytest.approx(2.0), pytest.approx(1 / 3))]
-    assert (memory / "runs.json").exists()
-
-
-def test_the_pace_is_that_of_runs_with_as_many_threads_and_frames_of_a_similar_size(plan, monkeypatch):
-    long = chain_of(plan, 2, 92)
-    for pace in (1.0, 2.0, 3.0, 4.0, 5.0):
-        remember_run(summary_of(long, 11.0 * pace, 18.0))
-        remember_run(summary_of(replace(long, size=(1024, 2048)), 11.0 * 50, 900.0))
-    small, large = (expected(replace(long, size=(rows, 2 * rows))) for rows in (64, 1024))
-    assert small.seconds == pytest.approx(3.0 + 11.0 * 3.0 + 18.0)
-    assert large.seconds > 500
-    monkeypatch.setattr(duration, "available_threads", lambda: 8)
-    assert "a guess" in expected(replace(long, job=replace(long.job, threads=None))).source
-
-
-def test_runs_that_were_starved_count_as_if_they_had_not_been(plan):
-    """Five on a machine with something else to do take twenty times as long; what they computed is the same."""
-    long = chain_of(plan, 2, 92)
-    remember_run(summary_of(long, 11.0, 18.0), processor=40.0)
-    usual = expected(long)
-    for _ in range(5):
-        remember_run(summary_of(long, 220.0, 360.0), processor=40.0)
-    busy = expected(long)
-    assert busy.seconds == pytest.approx(usual.seconds, rel=0.6)
-    remember_run(summary_of(long, 11.0, 18.0), processor=40.0)
-    assert expected(long).seconds == pytest.approx(usual.seconds, rel=0.05)
-
-
-def test_runs_of_a_size_that_is_far_off_do_not_count(plan):
-    remember_run(summary_of(chain_of(plan, 2, 92), 1100.0, 1800.0))
-    assert "a guess" in expected(replace(plan, size=(1024, 2048))).source
-
-
-def test_the_range_is_wider_the_less_is_known(plan):
-    long = chain_of(plan, 2, 92)
-    spreads = [expected(long).spread]
-    for _ in range(3):
-        remember_run(summary_of(long, 11.0, 18.0))
-        spreads.append(expected(long).spread)
-    assert spreads == sorted(spreads, reverse=True)
-    assert spreads[0] > spreads[1] > spreads[3]
-    for pace in (0.5, 4.0):
-        remember_run(summary_of(long, 11.0 * pace, 18.0 * pace))
-    assert expected(long).spread > spreads[3]
 
 
 @pytest.mark.parametrize(
@@ -214,46 +126,6 @@ def test_the_range_is_wider_the_less_is_known(plan):
 )  # fmt: skip
 def test_times_are_round_numbers_in_words(bounds, words):
     assert range_in_words(*bounds) == words
-
-
-def test_the_last_runs_count(plan):
-    long = chain_of(plan, 2, 92)
-    for pace in [9.0] * 60 + [1.0] * 5:
-        remember_run(summary_of(long, 11.0 * pace, 18.0))
-    assert expected(long).seconds == pytest.approx(3.0 + 11.0 + 18.0)
-    assert len(remembered_runs()) == duration.MAX_RUNS
-
-
-def test_runs_that_make_other_things_as_well_are_not_remembered(plan, tmp_path):
-    for changes in ({"codec": "h265"}, {"save_depth": tmp_path / "d"}, {"output": tmp_path / "frames"}):
-        other = replace(plan, job=replace(plan.job, **changes))
-        remember_run(summary_of(other, 11.0, 2.0))
-        assert expected(other).source.endswith("for an MP4 by the default encoder alone")
-    assert remembered_runs() == []
-
-
-def test_runs_whose_poses_were_found_in_the_pictures_count(plan):
-    """Their clock starts when the poses are there."""
-    long = chain_of(plan, 2, 92)
-    found = replace(long, job=replace(long.job, poses=POSES_FROM_PICTURES))
-    remember_run(summary_of(found, 22.0, 6.0))
-    assert expected(long) == expected(found)
-    assert expected(found).source == "by the pace of 1 former run on this machine"
-
-
-@pytest.mark.parametrize("text", ["", "{", "[{}]", '[{"threads": "x"}]'])
-def test_a_memory_that_is_damaged_is_as_good_as_none(plan, memory, text):
-    memory.mkdir()
-    (memory / "runs.json").write_text(text)
-    assert expected_duration(plan, TABLE_NAME) is not None
-    remember_run(summary_of(chain_of(plan, 2, 92), 11.0, 18.0))
-    assert len(remembered_runs()) == 1
-
-
-def test_where_nothing_can_be_kept_nothing_is(plan, memory):
-    memory.write_text("a file where the folder would be")
-    remember_run(summary_of(plan, 11.0, 2.0))
-    assert remembered_runs() == []
 
 
 def test_the_probe_does_real_work():
@@ -272,11 +144,9 @@ def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_bring
     )
     assert ("even the fastest" in str(choice)) == (not fits)
     assert ("balanced would take about 8 to 30 s for +2.00 ± 0.00 dB" in str(choice)) == (preset == "fast")
-    assert "a guess" in str(choice)
 
 
-def test_the_fastest_preset_is_the_first_of_the_scale_whatever_runs_are_remembered(plan, monkeypatch):
-    """A run of ``fast`` on a busy machine does not make ``balanced`` the fastest."""
+def test_the_fastest_preset_is_the_first_of_the_scale(plan, monkeypatch):
     known = {"fast": replace(expected(plan), seconds=9.0), "balanced": replace(expected(plan), seconds=7.0)}
     monkeypatch.setattr(budget, "expected_duration", lambda other, table: known[other.job.preset])
     assert choose_preset(plan, TABLE_NAME, 1.0).preset == "fast"
@@ -314,6 +184,6 @@ def test_a_preset_that_costs_half_as_much_again_is_worth_it(plan, monkeypatch):
     scored = [figures for figures in found if figures is not None]
     assert len(scored) == len(SCALE)
     for cheap, dear in pairwise(scored):
-        less, more = (work(replace(clip, config=each.config), table) for each in (cheap, dear))
-        assert sum(vars(more).values()) < 1.5 * sum(vars(less).values()) or gain(dear, cheap)[0] >= 0.3
+        less, more = (expected_duration(replace(clip, config=each.config), table) for each in (cheap, dear))
+        assert more.seconds < 1.5 * less.seconds or gain(dear, cheap)[0] >= 0.3
         assert gain(dear, cheap)[0] > 2 * gain(dear, cheap)[1]

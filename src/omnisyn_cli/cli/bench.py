@@ -58,7 +58,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
 )
 @click.option("--pairs", metavar="0:4|every:N|FILE", help="Input frames, see omnisyn eval.")
-@device_option("Where networks run; cuda also makes the frames, see omnisyn interpolate.")
+@device_option("Where networks run.")
 @click.option("--store", metavar="FILE", type=FilePath(), help="Write the table that interpolate --budget uses.")
 @json_option("all figures")
 @quiet_option

@@ -29,6 +29,9 @@ MEMORY_SIGNS = (
 )  # fmt: skip
 """What Python, the loader, OpenCV and ONNX Runtime say where memory, or room for threads, has run out."""
 
+EXTRAS: Mapping[str, str] = {"torch": "train", "matplotlib": "eval"}
+"""Packages that only some commands need, and the extra that brings each."""
+
 REMEDIES: Mapping[int, str] = {
     errno.EMFILE: "allow more open files (ulimit -n)", errno.ENFILE: "close other programs",
     errno.ENOSPC: "free some space", errno.EDQUOT: "free some space", errno.EIO: "check the disk",
@@ -47,9 +50,9 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
     if sign := next(_signs_of_memory(error), ""):
         return memory_failure(sign), EXIT_FAILURE
     match error:
-        case ImportError(name="torch"):
-            needs = "expected torch, which training, export-onnx and frames on a GPU need, got none; install it"
-            return f'{needs} (python -m pip install "torch<2.14")', EXIT_FAILURE
+        case ImportError(name=str() as name) if extra := EXTRAS.get(name.split(".")[0]):
+            remedy = f"python -m pip install 'omnisyn-cli[{extra}]'"
+            return f"expected the package {name}, found none; {remedy}", EXIT_FAILURE
         case OSError():
             return _about(error), EXIT_FAILURE
     return None

@@ -154,10 +154,7 @@ if TYPE_CHECKING:
     "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono", show_default=True,
     help="top-bottom: both eyes for headsets, one above the other. Distances have to be in metres.",
 )  # fmt: skip
-@device_option(
-    "Where networks run; auto uses a GPU if ONNX Runtime has one. cuda also makes the frames on a GPU (renderer "
-    "mesh, fusion geometric). Poses and matching always run on the processor."
-)
+@device_option("Where networks run; auto uses a GPU if ONNX Runtime has one. All else runs on the processor.")
 @threads_option
 @size_options
 @outside_option
@@ -209,28 +206,13 @@ def interpolate(
 
             plan = apply_budget(plan, budget)
         check_device(plan.config)
-        begun.append(_processor_seconds())
         return plan
 
-    compiled: list[str] = []
-    begun: list[float] = []  # when the poses are there
-    summary = run_job(
+    run_job(
         InterpolationJob(**given), plan_of, _load,
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
-        expected=_expected, frames=lambda plan: len(plan.path), listen=compiled.append,
-        is_report_possible=every is None,
+        expected=_expected, frames=lambda plan: len(plan.path), is_report_possible=every is None,
     )  # fmt: skip
-    if summary is not None and not compiled:
-        from omnisyn_cli.interpolation.planning.duration import remember_run
-
-        remember_run(summary, _processor_seconds() - begun[-1])
-
-
-def _processor_seconds() -> float:
-    """Seconds of processors so far, those of encoders that have ended included."""
-    import os
-
-    return sum(os.times()[:4])
 
 
 def _views(given: tuple[Path, ...]) -> dict[str, Any]:
@@ -268,17 +250,16 @@ def _load() -> Callable[..., Summary]:
 
 
 def _expected(plan: InterpolationPlan) -> dict[str, Any]:
-    """What the job is expected to take, and how that is known."""
+    """What the job is expected to take."""
     from omnisyn_cli.interpolation.planning.duration import expected_duration
 
     duration = expected_duration(plan)
     if duration is None:
-        return {"expected_seconds": None, "expected_range": None, "expected_words": "", "expected_from": "not measured"}
+        return {"expected_seconds": None, "expected_range": None, "expected_words": ""}
     return {
         "expected_seconds": round(duration.seconds, 1),
         "expected_range": [round(bound, 1) for bound in duration.bounds],
         "expected_words": duration.words,
-        "expected_from": duration.source,
     }
 
 

@@ -26,22 +26,13 @@ COMPILING_AGAIN = (
 )
 
 
-def say_when_compiling(
-    *, is_quiet: bool, listen: Callable[[str], None] = lambda note: None
-) -> AbstractContextManager[None]:
-    """Says once that kernels are compiled if that takes a while inside, which only the first run does.
-
-    Args:
-        is_quiet: nothing is printed then.
-        listen: called with what is, or would have been, said.
-    """
+def say_when_compiling(*, is_quiet: bool) -> AbstractContextManager[None]:
+    """Says once that kernels are compiled if that takes a while inside, which only the first run does."""
     from omnisyn_cli.compute.jit import are_kernels_kept, when_compiling
 
     def tell() -> None:
-        note = COMPILING_NOTE if are_kernels_kept() else COMPILING_AGAIN
-        listen(note)
         if not is_quiet:
-            say(note, err=True)
+            say(COMPILING_NOTE if are_kernels_kept() else COMPILING_AGAIN, err=True)
 
     return when_compiling(tell, MIN_BAR_SECONDS)
 

@@ -32,7 +32,6 @@ def run_job(
     quiet: bool,
     expected: Callable[[P], Mapping[str, Any]] = lambda plan: {},
     frames: Callable[[P], int] = lambda plan: 0,
-    listen: Callable[[str], None] = lambda note: None,
     is_report_possible: bool = True,
 ) -> S | None:
     """Plan a job, print the plan and stop, or carry it out.
@@ -47,7 +46,6 @@ def run_job(
         quiet: whether nothing but errors is printed.
         expected: what else is said of the plan.
         frames: how many are made.
-        listen: is told about kernels that are compiled.
         is_report_possible: whether the panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
@@ -79,7 +77,7 @@ def run_job(
         count = frames(plan)
         stages.expect(reading=len(plan.entries), depth=len(plan.pairs), **({"frames": count} if count else {}))
         is_unsaid = quiet or stages.has_bars  # which say it themselves
-        with say_when_compiling(is_quiet=is_unsaid, listen=listen), while_compiling(stages.compile):
+        with say_when_compiling(is_quiet=is_unsaid), while_compiling(stages.compile):
             run = load()
             from omnisyn_cli.interpolation.kernel_warm_up import compiling_beside
 

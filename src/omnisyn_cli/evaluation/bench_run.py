@@ -164,9 +164,8 @@ def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan
         return []
     threads = plan.job.threads
     loaded = load_pair(pair, None, threads)
-    config = replace(plan.config, is_on_gpu=False)
     known = None if depths is None else lambda first, second: depths
-    method = make_method(config, plan.size, threads=threads, estimator=known)
+    method = make_method(plan.config, plan.size, threads=threads, estimator=known)
     made = synthesize(loaded.views, [truth.waypoint for truth in loaded.truths], method)
     images = (_resized(frame.image, loaded.size, threads) for frame in made)
     return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]

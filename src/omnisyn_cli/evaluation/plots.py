@@ -1,4 +1,4 @@
-"""The diagrams of a report, as PNG files in memory; matplotlib is loaded when the first one is drawn."""
+"""The diagrams of a report, as PNG files in memory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import io
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
 from omnisyn_cli.evaluation.metrics import merged_reliability
@@ -19,10 +22,6 @@ from omnisyn_cli.interpolation.planning.figures import (
     quality,
     standard_seconds,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PLOT_TITLES = {
     "ws-psnr-by-distance": "WS-PSNR against the distance from the nearer panorama",
@@ -196,8 +195,6 @@ def pareto_plot(measured: Sequence[Figures], reference_method: str) -> bytes | N
 
 def _new_figure(entries: int, height: float = FIGURE_HEIGHT) -> tuple[Figure, Axes]:
     """A diagram with room for a legend of so many entries below it."""
-    from matplotlib.figure import Figure
-
     figure = Figure(
         figsize=(FIGURE_WIDTH, height + LEGEND_LINE_HEIGHT * math.ceil(entries / LEGEND_COLUMNS)),
         dpi=DOTS_PER_INCH,

@@ -106,7 +106,6 @@ def check_view(job: InterpolationJob) -> None:
         "heading": is_flat and job.heading != "panoramas",
         "stereo": is_flat and is_stereo,
         "save-confidence": is_stereo and job.save_confidence is not None,
-        "device cuda": (is_flat or is_stereo) and job.device == "cuda",
         "fusion": is_flat and job.fusion not in ("auto", "geometric"),
         "renderer": is_flat and job.renderer not in ("auto", "mesh"),
         "method": (is_flat or is_stereo) and job.method != OMNISYN,

@@ -65,14 +65,14 @@ def video_config(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Run
     )  # fmt: skip
     if job.projection == "flat":  # networks and edge pixels know panoramas alone
         config = replace(config, renderer="mesh", fusion="geometric", edges=False)
-    return _on_gpu(config, job) if job.device == "cuda" else config
+    return config
 
 
 def for_frames(config: RunConfig, job: InterpolationJob, frames: int) -> RunConfig:
     """The config for so many frames: with fewer triangles, if nobody says otherwise, where that saves time."""
     if job.adaptive is not None:
         return config
-    is_worth_it = frames > MIN_FRAMES_TO_SIMPLIFY * (len(job.images) - 1) and not config.is_on_gpu
+    is_worth_it = frames > MIN_FRAMES_TO_SIMPLIFY * (len(job.images) - 1)
     return replace(config, adaptive=config.adaptive and is_worth_it)
 
 
@@ -117,53 +117,10 @@ def _fusion(job: InterpolationJob, kind: str, defaults: RunConfig) -> str:
     return defaults.fusion if kind == defaults.depth.kind else "geometric"
 
 
-def _on_gpu(config: RunConfig, job: InterpolationJob) -> RunConfig:
-    """With frames on the GPU if it does all that is asked for; by rules where only the preset has a network correct."""
-    by_rules = replace(config, fusion="geometric")
-    wanted = by_rules if job.fusion == "auto" and config.fusion_strategy.is_residual else config
-    return config if _against_gpu(wanted) else replace(wanted, is_on_gpu=True)
-
-
-def _against_gpu(config: RunConfig) -> list[str]:
-    """What a GPU does not do."""
-    wanted = {
-        f"the renderer {config.renderer}": not config.renderer_strategy.runs_on_gpu,
-        f"the fusion {config.fusion}": not config.fusion_strategy.runs_on_gpu,
-        "confidence maps (--save-confidence)": config.confidence,
-        "cross-fades (--fallback crossfade)": config.fallback == "crossfade",
-    }
-    return [what for what, is_wanted in wanted.items() if is_wanted]
-
-
-def notes_about_gpu(config: RunConfig, job: InterpolationJob) -> tuple[str, ...]:
-    """What a user who asked for CUDA should know."""
-    if config.device != "cuda" or not config.draws_surfaces:
-        return ()
-    if not config.is_on_gpu:
-        return (
-            "frames are made on the processor: the GPU makes them only with the renderer mesh and the fusion "
-            f"geometric, without confidence maps and cross-fades; this job has {', '.join(_against_gpu(config))}",
-        )
-    notes = []
-    if config.fusion != _fusion(job, config.depth.kind, PRESETS[job.preset].config):
-        notes.append(
-            f"the GPU fuses by rules; --fusion network has frames made on the processor, as preset {job.preset} does"
-        )
-    if config.adaptive:
-        notes.append("on the GPU every triangle is drawn, --adaptive changes nothing")
-    return tuple(notes)
-
-
 def check_device(config: RunConfig) -> None:
     """Refuse a device that this machine does not have; a plan alone may be for another one.
 
     Raises InputError: there is no such device here.
     """
-    if config.device != "cuda":
-        return
-    if config.is_on_gpu:
-        from omnisyn_cli.synthesis.device.device import open_device  # torch takes seconds to import
-
-        open_device(config.device)
-    if config.networks:
+    if config.device == "cuda" and config.networks:
         check_device_of_networks(config.device)

@@ -132,10 +132,9 @@ class InterpolationJob(TourJob):
         size: (height, width) of the video; None means that of the largest panorama, or what players of the codec show.
         method: one of :data:`omnisyn_cli.pipeline.methods.METHODS`; baselines leave nothing to choose about depth,
             surfaces and fusion.
-        device: with ``cuda`` the GPU makes the frames as well if it can (:mod:`omnisyn_cli.interpolation.configs`).
         renderer: one of :data:`omnisyn_cli.pipeline.renderers.RENDERERS`, or ``auto``: what the preset says.
         fusion: one of :data:`omnisyn_cli.pipeline.fusions.FUSIONS`, or ``auto``: what the preset says where depth is
-            found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.
+            found as it says, else ``geometric``.
         projection: of the video: ``equirectangular``, or ``flat`` for an ordinary one.
         fov: radians that the width of a flat video spans; None takes 90 degrees.
         look: which way a flat video looks, see :func:`omnisyn_cli.interpolation.look.look_along`; None is ahead.

@@ -13,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
-from omnisyn_cli.interpolation.configs import for_frames, notes_about_gpu, surface_config, video_config
+from omnisyn_cli.interpolation.configs import for_frames, surface_config, video_config
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
 from omnisyn_cli.interpolation.planning.memory import (
@@ -242,8 +242,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         path = look_along(path, poses[0], job.look or LOOK_AHEAD)
     return InterpolationPlan(
         job, entries, sources, config,
-        (*tour.notes, *_notes_about_video(tour, config), *_notes_about_size(job, tour.source_sizes, sources),
-         *notes_about_gpu(config, job)),
+        (*tour.notes, *_notes_about_video(tour, config), *_notes_about_size(job, tour.source_sizes, sources)),
         tour.tour, size, path, path_length(poses),
         estimated_memory(job, config, size, sources, _surface_sizes(config, sources, entries)),
     )  # fmt: skip
@@ -321,11 +320,9 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     job = replace(plan.job, preset=preset)
     config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
     surfaces = _surface_sizes(config, plan.source_sizes, plan.entries)
-    former = notes_about_gpu(plan.config, plan.job)
     return replace(
         plan, job=job, config=config,
         memory=estimated_memory(job, config, plan.size, plan.source_sizes, surfaces),
-        notes=(*(note for note in plan.notes if note not in former), *notes_about_gpu(config, job)),
     )  # fmt: skip
 
 

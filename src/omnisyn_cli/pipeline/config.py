@@ -53,7 +53,6 @@ class RunConfig:
         fallback: one of :data:`FALLBACKS`.
         confidence: whether every frame gets a map of its confidence.
         device: where networks run, one of :data:`DEVICES`.
-        is_on_gpu: whether frames are made on a GPU too.
     """
 
     depth: DepthSource = field(default_factory=DepthSource)
@@ -68,7 +67,6 @@ class RunConfig:
     fallback: str = "none"
     confidence: bool = False
     device: str = "auto"
-    is_on_gpu: bool = False
 
     def of_known_depth(self) -> RunConfig:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""

@@ -51,7 +51,6 @@ def make_method(
         options,
         clock,
         config.device,
-        config.is_on_gpu,
         lambda: estimator or make_estimator(config.depth, device=config.device, threads=threads),
         lambda: fuser or make_fuser(config.fusion, settings, device=config.device),
     )

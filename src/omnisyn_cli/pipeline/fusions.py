@@ -50,7 +50,6 @@ class FusionStrategy:
         network_bytes: memory of the network for a frame of so many pixels.
         by_rules: whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled.
         is_residual: whether a network corrects that rule; on a GPU the rule alone does then.
-        runs_on_gpu: whether a GPU does it.
     """
 
     name: str
@@ -60,7 +59,6 @@ class FusionStrategy:
     network_bytes: Callable[[int], float] = lambda pixels: 0.0
     by_rules: bool = True
     is_residual: bool = False
-    runs_on_gpu: bool = False
 
 
 def _make_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
@@ -88,7 +86,7 @@ def _make_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
 FUSIONS: Mapping[str, FusionStrategy] = MappingProxyType({
     fusion.name: fusion
     for fusion in (
-        FusionStrategy("geometric", "a visibility rule", _make_geometric, runs_on_gpu=True),
+        FusionStrategy("geometric", "a visibility rule", _make_geometric),
         FusionStrategy(
             "network", "the rule, corrected by a network", _make_residual, "fusion-residual",
             network_bytes=lambda pixels: 50e6, is_residual=True,

@@ -34,7 +34,6 @@ class MethodParts:
         options: size of the frames, threads.
         clock: collects seconds by stage.
         device: where networks run.
-        is_on_gpu: whether frames are made on a GPU.
         estimator: makes what finds depth.
         fuser: makes what joins two layers.
     """
@@ -42,7 +41,6 @@ class MethodParts:
     options: SynthesisOptions
     clock: Stopwatch | None
     device: str
-    is_on_gpu: bool
     estimator: Callable[[], DepthEstimator]
     fuser: Callable[[], Fuser]
 
@@ -75,12 +73,7 @@ class MethodStrategy:
 def _make_surfaces(parts: MethodParts) -> Method:
     from omnisyn_cli.synthesis.methods import SurfaceMethod
 
-    device = None
-    if parts.is_on_gpu:
-        from omnisyn_cli.synthesis.device.pair import GpuFrames
-
-        device = GpuFrames(parts.options.size)
-    return SurfaceMethod(parts.estimator(), parts.options, parts.fuser(), parts.clock, device)
+    return SurfaceMethod(parts.estimator(), parts.options, parts.fuser(), parts.clock)
 
 
 def _make_crossfade(parts: MethodParts) -> Method:

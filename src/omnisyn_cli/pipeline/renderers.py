@@ -29,7 +29,6 @@ class RendererStrategy:
         pixel_bytes: memory for each pixel of a frame of what one view shows, without colours.
         shades_on_demand: whether colours are made for some rows at a time, photographs are kept as samples of 8 bits,
             and pixels at edges can be supersampled.
-        runs_on_gpu: whether a GPU draws it.
     """
 
     name: str
@@ -39,7 +38,6 @@ class RendererStrategy:
     kept_bytes: float
     pixel_bytes: int = 4
     shades_on_demand: bool = False
-    runs_on_gpu: bool = False
 
 
 def _mesh() -> RendererClass:
@@ -59,7 +57,6 @@ RENDERERS: Mapping[str, RendererStrategy] = MappingProxyType({
     for renderer in (
         RendererStrategy(
             "mesh", "exact rasterisation", _mesh, building_bytes=57, kept_bytes=57, shades_on_demand=True,
-            runs_on_gpu=True,
         ),
         RendererStrategy(
             "two-pass", "the rasteriser of the paper, a baseline", _two_pass, building_bytes=660, kept_bytes=150,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -18,9 +17,6 @@ from omnisyn_cli.geometry.pose import distance_between, rotation_vector_from_rot
 from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
-
-if TYPE_CHECKING:
-    from omnisyn_cli.synthesis.device.pair import GpuPair
 
 __all__ = ["Frame", "FrameAllocator", "fuse_frame"]
 
@@ -93,8 +89,6 @@ def fuse_frame(
     samples: FrameAllocator | None,
 ) -> FusedFrame:  # fmt: skip
     """The frame of two renderings that were given one exposure."""
-    if pair.on_device is not None:
-        return _fuse_frame_on_device(pair, pair.on_device, waypoint, options, clock, samples)
     is_judged = options.confidence or pair.cross_fade is not None
     confidence = np.empty(options.size, np.float32) if is_judged else None
     with clock("render"):
@@ -114,17 +108,3 @@ def fuse_frame(
         Frame(image, waypoint, None, confidence), lambda: max(float(view.inverse_depth.max()) for view in seen),
         pixels_per_radian(options.size),
     )  # fmt: skip
-
-
-def _fuse_frame_on_device(
-    pair: PreparedPair, on_device: GpuPair, waypoint: Waypoint, options: SynthesisOptions, clock: Stopwatch,
-    samples: FrameAllocator | None,
-) -> FusedFrame:  # fmt: skip
-    """The same, all of it on a device."""
-    image = np.empty((*options.size, 3), np.float32) if samples is None else samples()
-    with clock("render"):
-        target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in pair.poses)
-        on_device.frame(target_from_first, target_from_second, waypoint.t, image)
-        if pair.masked_fade is not None:
-            pair.masked_fade(image, waypoint.pose, waypoint.t)
-    return FusedFrame(Frame(image, waypoint, None), lambda: on_device.nearest, pixels_per_radian(options.size))

@@ -7,7 +7,7 @@ The paper's method, the one of this program, is :class:`SurfaceMethod`; others t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float32
@@ -19,9 +19,6 @@ from omnisyn_cli.synthesis.frame import Frame, FrameAllocator, FusedFrame, fuse_
 from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions, prepare_pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
-
-if TYPE_CHECKING:
-    from omnisyn_cli.synthesis.device.pair import GpuFrames
 
 __all__ = ["Method", "Pair", "SurfaceMethod", "SurfacePair"]
 
@@ -76,16 +73,14 @@ class SurfaceMethod:
         options: size and settings.
         fuser: joins the two renderings; geometric by default.
         clock: collects seconds by stage.
-        device: makes the frames, by the mesh and the geometric fusion, whatever else is asked for; for frames without
-            confidence that are not cross-faded.
     """
 
     def __init__(
         self, estimator: DepthEstimator, options: SynthesisOptions, fuser: Fuser | None = None,
-        clock: Stopwatch | None = None, device: GpuFrames | None = None,
+        clock: Stopwatch | None = None,
     ) -> None:  # fmt: skip
         self.estimator, self.options, self.clock = estimator, options, clock or Stopwatch()
-        self._fuser, self._device = fuser or GeometricFuser(options.size, threads=options.threads), device
+        self._fuser = fuser or GeometricFuser(options.size, threads=options.threads)
         self._chain: ChainDepth | None = None
 
     def depths_of(self, views: Sequence[View]) -> ChainDepth:
@@ -96,7 +91,7 @@ class SurfaceMethod:
 
     def prepare(self, index: int, views: Sequence[View]) -> SurfacePair:
         """Find the depth of both and make their surfaces."""
-        prepared = prepare_pair(index, self.depths_of(views), self.options, self.clock, self._device)
+        prepared = prepare_pair(index, self.depths_of(views), self.options, self.clock)
         return SurfacePair(prepared, self._fuser, self.options, self.clock)
 
 

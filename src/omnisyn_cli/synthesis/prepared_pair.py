@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -21,9 +21,6 @@ from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
 from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
 from omnisyn_cli.types import DepthEstimate, View
-
-if TYPE_CHECKING:
-    from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
 __all__ = ["SynthesisOptions", "drawn_surfaces", "measure_pair", "usable_image"]
 
@@ -67,7 +64,6 @@ class PreparedPair:
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
         masked_fade: fades what is masked at the ends; None where nothing masked is shown.
         triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
-        on_device: makes whole frames of both on a device; None where the processor does.
         is_soft: whether surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
     """
 
@@ -79,7 +75,6 @@ class PreparedPair:
     cross_fade: CrossFade | None = None
     masked_fade: MaskedFade | None = None
     triangles: tuple[int, int] | None = None
-    on_device: GpuPair | None = None
     is_soft: bool = False
 
 
@@ -100,9 +95,7 @@ def measure_pair(
         return depths, cross_check((first, second), depths, options.cut, options.threads)
 
 
-def prepare_pair(
-    index: int, chain: ChainDepth, options: SynthesisOptions, clock: Stopwatch, device: GpuFrames | None = None
-) -> PreparedPair:
+def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock: Stopwatch) -> PreparedPair:
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
     depths, check = measure_pair(index, chain, options, clock)
     first_view, second_view = chain.links[index]
@@ -116,15 +109,6 @@ def prepare_pair(
     if any(view.shows_masked and view.mask is not None for view in whole):
         masked_fade = MaskedFade(whole, options.size, options.threads)
     poses = (first.pose, second.pose)
-    if device is not None:
-        with clock("mesh"):
-            surfaces = [
-                device.surface(usable_image(view, options), view.mask, depth, options.cut)
-                for view, depth in zip((first, second), drawn_depths, strict=True)
-            ]
-            pair = device.pair(surfaces[0], surfaces[1], check.curve, dissolves=is_soft)
-        triangles = (pair.triangles, pair.triangles)
-        return PreparedPair(index, poses, depths, pair.surfaces, check, None, masked_fade, triangles, pair, is_soft)
     with clock("mesh"), limited_threads(options.threads):
         renderers = both(
             lambda: _renderer(first, second, drawn_depths[0], options),
@@ -136,7 +120,7 @@ def prepare_pair(
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, None, is_soft)
+    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, is_soft)
 
 
 class DrawnSurfaces(NamedTuple):

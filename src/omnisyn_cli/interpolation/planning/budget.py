@@ -41,10 +41,10 @@ class Choice:
         own = self.expected[self.preset]
         if not self.fits:
             return (
-                f"even the fastest preset, {self.preset}, is expected to take {own}, more than the budget of "
+                f"even the fastest preset, {self.preset}, is expected to take {own.words}, more than the budget of "
                 f"{self.budget:g} s; it is taken (fewer frames or a smaller --size help){self.more}"
             )
-        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own}{self.more}"
+        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own.words}{self.more}"
 
 
 def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
@@ -66,14 +66,13 @@ def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
 
 
 def _check_measured(plan: InterpolationPlan) -> None:
-    """Pictures were compared with presets as they are, on the processor; depth from files takes no time."""
+    """Pictures were compared with presets as they are; depth from files takes no time."""
     job = plan.job
     asked = {
         "renderer": (plan.config.renderer, ("mesh",)),
         "depth": (job.depth, ("auto", "file", "refined")),
         "model": (job.model, (None,)),
         "fusion": (job.fusion, ("auto",)),
-        "device": ("cuda" if plan.config.is_on_gpu else "cpu", ("cpu",)),
     }
     for name, (given, measured) in asked.items():
         if given not in measured:
@@ -89,8 +88,8 @@ def _without_choice(expected: Duration | None, budget: float) -> str:
         raise InputError("expected a renderer and a fusion that were measured with a budget, got others; leave it out")
     verdict = "within" if expected.seconds <= budget else "more than"
     return (
-        f"depth comes from files, so presets make no difference: expected to take {expected}, {verdict} the budget of "
-        f"{budget:g} s"
+        f"depth comes from files, so presets make no difference: expected to take {expected.words}, {verdict} the "
+        f"budget of {budget:g} s"
     )
 
 

@@ -48,7 +48,7 @@ def correction_of(plan: TourPlan, pair: PairSurfaces) -> UInt8[np.ndarray, "rows
         return None
     waypoint = Waypoint(0, 0.5, Pose(np.eye(3), (first.pose.position + second.pose.position) / 2.0))
     views = [replace(surface.view, known_depth=surface.depth) for surface in pair.surfaces]
-    plain = replace(config, renderer="mesh", adaptive=False, edges=False, fallback="none", is_on_gpu=False)
+    plain = replace(config, renderer="mesh", adaptive=False, edges=False, fallback="none")
     fuser = make_fuser("network", FuserSettings(size, threads, config.fusion_rows, edges=False), device=config.device)
     with limited_threads(threads):
         method = make_method(plain, size, threads=threads, estimator=KnownDepth(), fuser=fuser)
