@@ -2,31 +2,21 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
-from test_loop import equal
 from training_samples import ball_scene, make_pool
 
 from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork
-from omnisyn_cli.training import adversarial, synsin
-from omnisyn_cli.training.adversarial import (
-    PatchDiscriminator,
-    adversarial_loss,
-    adversarial_weight,
-    discriminator_loss,
-    feature_loss,
-)
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
+from omnisyn_cli.networks.synsin import SynSinConfig
+from omnisyn_cli.training.checkpoint import load_checkpoint
 from omnisyn_cli.training.data import TrainingScene, list_scene_files, load_scene
-from omnisyn_cli.training.loop import TrainConfig, open_trainer, train
+from omnisyn_cli.training.loop import TrainConfig, train
 from omnisyn_cli.training.synsin import ViewSample, draw_views, view_sample
 
 TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
@@ -90,118 +80,12 @@ def test_a_pool_without_up_is_of_level_lines(tmp_path):
     assert load_scene(path).up.tolist() == [0.0, 0.0, 1.0]
 
 
-def test_a_discriminator_looks_at_two_scales_and_turns_with_the_picture():
-    torch.manual_seed(1)
-    discriminator, image = PatchDiscriminator(widths=(4, 6), scales=2).eval(), torch.rand(1, 3, 32, 64)
-    with torch.no_grad():
-        answers, turned = discriminator(image), discriminator(image.roll(16, dims=-1))
-    assert [tuple(scale[-1].shape) for scale in answers] == [(1, 1, 8, 16), (1, 1, 4, 8)]
-    assert [len(scale) for scale in answers] == [3, 3]
-    torch.testing.assert_close(turned[0][-1], answers[0][-1].roll(4, dims=-1), rtol=1e-4, atol=1e-5)
-
-
-def test_the_hinge_is_that_of_its_definition():
-    true = [[torch.zeros(1), torch.tensor([2.0, 0.5])]]
-    made = [[torch.ones(1), torch.tensor([-3.0, 0.0])]]
-    assert float(discriminator_loss(made, true)) == pytest.approx((0 + 0.5) / 2 + (0 + 1) / 2)
-    assert float(adversarial_loss(made)) == pytest.approx(1.5)
-    assert float(feature_loss(made, true)) == pytest.approx(adversarial.FEATURE_WEIGHT)
-
-
-def test_the_discriminator_counts_for_nothing_at_first_and_then_ever_more():
-    weights = [
-        adversarial_weight(step)
-        for step in (0, adversarial.WATCH_STEPS, adversarial.WATCH_STEPS + adversarial.RAMP_STEPS // 2)
-    ]
-    assert weights == [0.0, 0.0, pytest.approx(adversarial.ADVERSARIAL_WEIGHT / 2)]
-    assert adversarial_weight(10**6) == adversarial.ADVERSARIAL_WEIGHT
-
-
-def test_what_the_discriminator_says_teaches_the_networks_but_not_the_truth(config):
-    discriminator = PatchDiscriminator(widths=(4, 6), scales=1)
-    torch.manual_seed(0)
-    network = SynSinNetwork(TINY)
-    samples = draw_views(list_scene_files(Path(config.pool)), np.random.default_rng(0), 2, config.size)
-    early, late = (synsin.adversarial_losses(network, discriminator.eval(), samples, step)[0] for step in (0, 10**6))
-    made = synsin.render_pictures(network, samples)
-    torch.testing.assert_close(early, synsin.reconstruction_loss(made, samples))
-    seen, true = discriminator(made.pictures), discriminator(torch.stack([sample.truth for sample in samples]))
-    expected = early + adversarial.ADVERSARIAL_WEIGHT * (adversarial_loss(seen) + feature_loss(seen, true))
-    torch.testing.assert_close(late, expected)
-    network.zero_grad()
-    late.backward()
-    for part in (network.depth, network.encoder, network.decoder):
-        assert max(float(p.grad.abs().max()) for p in part.parameters() if p.grad is not None) > 0
-
-
-def test_the_discriminators_own_loss_does_not_teach_the_networks(config):
-    network, discriminator = SynSinNetwork(TINY), PatchDiscriminator(widths=(4, 6), scales=1)
-    samples = draw_views(list_scene_files(Path(config.pool)), np.random.default_rng(0), config.batch, config.size)
-    synsin.adversarial_losses(network, discriminator, samples, 0)[1].backward()
-    assert all(parameter.grad is None for parameter in network.parameters())
-    assert all(parameter.grad is not None for parameter in discriminator.parameters())
-
-
-def test_a_stopped_run_goes_on_bit_for_bit_with_its_discriminator(tmp_path, config, monkeypatch):
-    """Also across the step from which the discriminator has a say."""
-    monkeypatch.setattr(adversarial, "WATCH_STEPS", 2)
-    monkeypatch.setattr(adversarial, "RAMP_STEPS", 2)
-    train(TINY, config, tmp_path / "whole", steps=5)
-    train(TINY, config, tmp_path / "stopped", steps=3)
-    train(TINY, config, tmp_path / "stopped", steps=5)
-    whole, stopped = (load_checkpoint(tmp_path / name / "checkpoint.pt") for name in ("whole", "stopped"))
-    assert whole["opponent"]["optimizer"]["state"]
-    assert equal(whole, stopped)
-
-
-def test_a_run_without_its_discriminators_past_would_be_another(tmp_path, config, monkeypatch):
-    monkeypatch.setattr(adversarial, "WATCH_STEPS", 0)
-    train(TINY, config, tmp_path / "whole", steps=4)
-    train(TINY, config, tmp_path / "stopped", steps=3)
-    state = load_checkpoint(tmp_path / "stopped" / "checkpoint.pt")
-    del state["opponent"]
-    save_checkpoint(tmp_path / "stopped" / "checkpoint.pt", state)
-    train(TINY, config, tmp_path / "stopped", steps=4)
-    whole, stopped = (load_checkpoint(tmp_path / name / "checkpoint.pt") for name in ("whole", "stopped"))
-    assert not equal(whole["opponent"], stopped["opponent"])
-
-
 def test_a_run_logs_figures_and_shows_pictures(tmp_path, config):
     rows = []
     train(TINY, config, tmp_path / "run", steps=4, report=rows.append)
     assert {"ws_psnr_one_view", "ws_psnr_two_views", "imae", "delta_25"} < rows[0].keys()
     assert 3 < rows[0]["ws_psnr_two_views"] < 60
     assert (tmp_path / "run" / "pictures" / "00000004.png").is_file()
-
-
-def test_a_compact_checkpoint_has_no_discriminator_and_can_be_trained_on(tmp_path, config):
-    train(TINY, config, tmp_path / "run", steps=2)
-    small = compact(load_checkpoint(tmp_path / "run" / "checkpoint.pt"))
-    assert "opponent" not in small
-    save_checkpoint(tmp_path / "new" / "checkpoint.pt", small)
-    assert train(TINY, config, tmp_path / "new", steps=3).step == 3
-
-
-def test_a_fresh_discriminator_only_watches_at_first_also_where_a_run_goes_on(tmp_path, config):
-    """From a compact checkpoint of any step; when it began is kept in the next checkpoint."""
-    train(TINY, config, tmp_path / "run", steps=1)
-    late = {**compact(load_checkpoint(tmp_path / "run" / "checkpoint.pt")), "step": 10**6}
-    path = tmp_path / "new" / "checkpoint.pt"
-    save_checkpoint(path, late)
-    trainer = open_trainer(TINY, config, path)
-    pool = list_scene_files(Path(config.pool))
-    samples = draw_views(pool, np.random.default_rng([config.seed, 10**6]), config.batch, config.size)
-    own = float(synsin.reconstruction_loss(synsin.render_pictures(trainer.network, samples), samples).detach())
-    assert trainer.advance(pool) == pytest.approx(own, rel=1e-5)
-    save_checkpoint(path, trainer.state())
-    again = open_trainer(TINY, config, path)
-    assert again.discriminator.begun == 10**6
-
-
-def test_the_discriminator_takes_the_weight_decay_of_the_stage(tmp_path, config):
-    train(TINY, config, tmp_path / "run", steps=1)
-    trainer = train(TINY, dataclasses.replace(config, weight_decay=0.5), tmp_path / "run", steps=2)
-    assert [group["weight_decay"] for group in trainer.discriminator.optimizer.param_groups] == [0.5]
 
 
 def test_the_command_trains_and_refuses_sizes_that_do_not_fit(tmp_path):

@@ -80,14 +80,13 @@ def depth(**options: Any) -> None:
 
 
 @train.command()
-@_stage_options("pool", batch=4, rate=8e-4)
+@_stage_options("evidence", batch=4, rate=8e-4)
 @_variant_option("balanced")
-@_height_option(128, 64, ", at most those of the pool; a run can continue with more.")
+@_height_option(128, 64, ": those of the pool, or half of them.")
 def completion(**options: Any) -> None:
     """Train the network that completes matched depth in FOLDER, or continue the run there.
 
-    Matching is simulated from the exact depth of the pool. Pools of `omnisyn train evidence` have real
-    matching. They take long to make, so use them last.
+    The pools hold what matching says of generated scenes.
     """
     _train_variant("completion", **options)
 
@@ -139,8 +138,7 @@ def joint(depth: str, fusion: str, **options: Any) -> None:
 def synsin(**options: Any) -> None:
     """Train the baseline SynSin in FOLDER, or continue the run there.
 
-    Depth network, encoder and decoder learn together, from one panorama and from two in turn. A discriminator joins
-    after the first steps.
+    Depth network, encoder and decoder learn together, from one panorama and from two in turn.
     """
     _train_variant("synsin", ema=SYNSIN_EMA, warmup_steps=SYNSIN_WARMUP, **options)
 

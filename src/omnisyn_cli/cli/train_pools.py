@@ -113,7 +113,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 @TEXTURES
 def matched_scenes(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
-    from omnisyn_cli.training.feature_scenes import make_feature_scene
+    from omnisyn_cli.training.completion import make_feature_scene
     from omnisyn_cli.training.line_scenes import TiltedConfig
 
     _check_pool_height(height)

@@ -79,7 +79,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class FeatureBatch:
-    """Stereo features of panoramas, matched or simulated, and the truth.
+    """Stereo features of panoramas and the truth.
 
     Attributes:
         channels: ``(batch, channels, height, width)``, see

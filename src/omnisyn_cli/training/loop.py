@@ -15,14 +15,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from omnisyn_cli.compute.threads import at_most
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
-from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
 from omnisyn_cli.training.pictures import Board, contact_sheet
@@ -46,7 +44,7 @@ PROCESSOR = Precision(torch.device("cpu"))
 
 
 class Trainer:
-    """Network, average, optimiser, discriminator if there is one, and step: what a checkpoint holds."""
+    """Network, average, optimiser and step: what a checkpoint holds."""
 
     def __init__(self, network: NetworkConfig, config: TrainConfig, precision: Precision = PROCESSOR) -> None:
         torch.manual_seed(config.seed)
@@ -59,9 +57,6 @@ class Trainer:
             self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
-        self.discriminator: Discriminator | None = None
-        if self.task.adversarial is not None:
-            self.discriminator = Discriminator(PatchDiscriminator().to(precision.device), config.weight_decay)
         self.scores: dict[str, float] = {}
         self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
         self.drawn: tuple[int, Future[Any]] | None = None
@@ -71,7 +66,6 @@ class Trainer:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
-        discriminator = {} if self.discriminator is None else {"opponent": self.discriminator.state()}
         return {
             "kind": self.kind,
             "network": self.network.config.as_dict(),
@@ -83,21 +77,15 @@ class Trainer:
             "weights": self.network.state_dict(),
             "average": self.average,
             "optimizer": self.optimizer.state_dict(),
-            **discriminator,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration.
-
-        A compact one has no discriminator: a fresh one then watches first, as at the beginning of a run.
-        """
+        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""
         self.network.load_state_dict(state.get("weights", state["average"]))
         own = self.network.state_dict()
         self.average = {name: value.to(own[name], copy=True) for name, value in state["average"].items()}
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
-        if self.discriminator is not None:
-            self.discriminator.restore(state.get("opponent", {"begun": state["step"]}))
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
@@ -138,24 +126,15 @@ class Trainer:
             group.update(lr=self.rate() * group.get("scale", 1.0), weight_decay=config.weight_decay)
         batch = on_device(self._batch(pool), self.precision.device)
         with self.precision.autocast():
-            loss, verdict = self._losses(batch)
+            loss = self.task.loss(self.task.answer_of(self.network, batch), batch)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
         if torch.isfinite(norm):
             self.optimizer.step()
-        if self.discriminator is not None and verdict is not None:
-            self.discriminator.learn(verdict, self.rate(), config.clip)
         self.step += 1
         self._follow()
         return float(loss.detach())
-
-    def _losses(self, batch: Any) -> tuple[Tensor, Tensor | None]:
-        """The network's loss, and that of its discriminator."""
-        if self.discriminator is None or self.task.adversarial is None:
-            return self.task.loss(self.task.answer_of(self.network, batch), batch), None
-        watched = self.step - self.discriminator.begun
-        return self.task.adversarial(self.network, self.discriminator.network, batch, watched)
 
     def _batch(self, pool: list[Path]) -> Any:
         """The batch of this step; that of the next one is begun, so that it is there when it is wanted."""

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import Module
 
 from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.evaluation.metrics import ws_psnr
@@ -22,7 +21,6 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
-from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, discriminator_loss, feature_loss
 from omnisyn_cli.training.data import TrainingScene, load_scene
 from omnisyn_cli.training.losses import depth_scores, polar_weights, sqrt_inv_depth_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures
@@ -184,20 +182,6 @@ def reconstruction_loss(made: SynSinPrediction, samples: Sequence[ViewSample]) -
 
 def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height width"]:
     return torch.stack([sample.truth for sample in samples])
-
-
-def adversarial_losses(
-    network: SynSinNetwork, discriminator: Module, samples: Sequence[ViewSample], step: int
-) -> tuple[Tensor, Tensor]:
-    """The loss of the networks and that of their discriminator after so many steps of its own."""
-    made = render_pictures(network, samples)
-    loss, weight = reconstruction_loss(made, samples), adversarial_weight(step)
-    true = discriminator(_truth(samples))
-    verdict = discriminator_loss(discriminator(made.pictures.detach()), true)
-    if weight > 0.0:
-        seen = discriminator(made.pictures)
-        loss = loss + weight * (adversarial_loss(seen) + feature_loss(seen, true))
-    return loss, verdict
 
 
 def load_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:

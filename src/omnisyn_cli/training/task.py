@@ -23,8 +23,7 @@ class TrainConfig:
     """One stage of training; a later stage may change any of it.
 
     Attributes:
-        pool, validation_pool: folders of scenes, see :mod:`omnisyn_cli.training.data` and
-            :mod:`omnisyn_cli.training.feature_scenes`.
+        pool, validation_pool: folders of scenes, see :mod:`omnisyn_cli.training.data`.
         size: of the images, a whole fraction of the pool's.
         batch: pairs per step.
         rate: learning rate after the warm-up.
@@ -76,8 +75,6 @@ class Task:
         inputs: what a network is called with, of itself and a batch.
         answer: of a network to a batch; None calls it with ``inputs``.
         pictures: what is seen of an answer to a batch, RGB in [0, 1] by name; None where nobody looks.
-        adversarial: of a network, a discriminator, a batch and the number of steps that the discriminator has learned
-            for: the loss of either; None where there is no discriminator.
         held_out: a batch to be judged by, of a scene's file, the number of times that it was looked at before, and the
             stage; None draws it without varying colours.
         is_repeated: whether held-out scenes are looked at again if there are fewer than asked for.
@@ -94,7 +91,6 @@ class Task:
     inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: batch.inputs
     answer: Callable[[Any, Any], Any] | None = None
     pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None
-    adversarial: Callable[[Any, Any, Any, int], tuple[Tensor, Tensor]] | None = None
     held_out: Callable[[Path, int, TrainConfig], Any] | None = None
     is_repeated: bool = True
     pools: tuple[str, ...] = ("pool",)

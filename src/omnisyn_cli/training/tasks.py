@@ -97,11 +97,13 @@ TASKS: Mapping[str, Task] = {
         CompletionConfig,
         COMPLETION_VARIANTS,
         CompletionNetwork,
-        draw=lambda pool, rng, stage, _, varied: draw_completion(pool, rng, stage.batch, stage.size, varied),
+        draw=lambda pool, rng, stage, _, varied: draw_completion(
+            pool, rng, stage.batch, stage.size, augment=varied is not None
+        ),
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
         scores=_completion_scores,
         pictures=_completion_pictures,
-        pools=("pool", "evidence"),
+        pools=("evidence",),
     ),
     "fusion": Task(
         FusionConfig,
@@ -138,7 +140,6 @@ TASKS: Mapping[str, Task] = {
         loss=synsin.reconstruction_loss,
         scores=synsin.synsin_scores,
         pictures=synsin.synsin_pictures,
-        adversarial=synsin.adversarial_losses,
         held_out=lambda path, _, stage: synsin.load_views(path, stage.size),
         is_repeated=False,
     ),
