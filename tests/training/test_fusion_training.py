@@ -277,12 +277,12 @@ def test_a_network_is_trained_and_published(tmp_path, pool, config):
         folder, folder, size=SIZE, batch=4, rate=1.5e-3, warmup_steps=5, validate_every=20, validation_pairs=4, ema=0.8
     )
     rows = []
-    train(config, stage, tmp_path / "run", steps=40, report=rows.append)
+    train(config, stage, tmp_path / "run", steps=60, report=rows.append)
     assert rows[-1]["ws_psnr"] > rows[0]["ws_psnr"]
     if config is TINY:
         assert rows[-1]["gain"] > 0
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
-    assert (state["kind"], state["step"], network.config) == ("fusion", 40, config)
+    assert (state["kind"], state["step"], network.config) == ("fusion", 60, config)
     ((entry, difference),) = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=pool[0].parent)
     assert difference < 1e-4
     assert (entry.role, entry.size) == ("fusion", SIZE)

@@ -38,10 +38,12 @@ IMPORT_FORMATS = (
 """``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them."""
 
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
+"""Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise."""
 
 CAMERA_AXES = ("opengl", "opencv", "flu")
 
 UP_AXES = ("y", "-y", "z", "-z", "cameras")
+"""What a user may call up: an axis of the positions, or what the cameras hold upright."""
 
 ROLL_DIRECTIONS = ("counter-clockwise", "clockwise")
 

@@ -30,7 +30,7 @@ THREAD_SCALING_EXPONENT = 0.75
 """A guess: n threads do as much as n to this power."""
 
 SPREAD = 2.0
-"""Factor between what is expected and its bounds."""
+"""Factor between what is expected and its bounds. Set by hand."""
 
 PROBE_REPEATS = 4
 """Of the probe of speed; the fastest counts, as others may disturb it. Set by hand."""
