@@ -65,7 +65,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition(":")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--preset", default="balanced")
-    parser.add_argument("--kinds", nargs="+", default=["street", "room", "home", "jumble", "yard"])
+    parser.add_argument("--kinds", nargs="+", default=["street", "room", "home"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[902])
     options = parser.parse_args()
     print("dB: page by rules, page, " + ", ".join(STEPS))

@@ -7,15 +7,15 @@ import pytest
 from click.testing import CliRunner
 from scene_samples import clearance
 
-from omnisyn_cli.cli.scenes import KINDS, scenes
+from omnisyn_cli.cli.scenes import scenes
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.evaluation import scene_files as suite_module
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
-from omnisyn_cli.evaluation.scene_files import suite_scenes, wide_scenes, write_suite_scene
+from omnisyn_cli.evaluation.scene_files import write_suite_scene
 from omnisyn_cli.io import read_depth
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes import generate_scene
-from omnisyn_cli.scenes.suite import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, WIDE_SEEDS, suite_walks, wide_walk
+from omnisyn_cli.scenes.suite import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, longest_path, suite_scenes
 
 POSES_SHA256 = "c13f327442a7aa68c9116086252862149caf00cf1960164983f519322565bc01"
 
@@ -60,8 +60,7 @@ def test_all_baselines_of_a_scene_begin_at_one_place_and_go_one_way(walks):
 def test_a_scene_without_room_has_no_way():
     narrow = generate_scene("room", 3)
     narrow.shapes["half"] = 1e3
-    assert [walk.path for walk in suite_walks("room", 3, narrow)] == [()] * len(BASELINES)
-    assert wide_walk("room", 3, narrow).path == ()
+    assert longest_path(narrow, 3) == ()
 
 
 def test_the_bytes_are_those_that_were_recorded(tmp_path, walks):
@@ -77,27 +76,10 @@ def test_the_bytes_are_those_that_were_recorded(tmp_path, walks):
     assert len(read_poses(tmp_path / "poses.json").panoramas) == FRAMES_PER_WALK
 
 
-def test_the_wide_set_has_ten_walks_of_each_kind_of_many_lengths():
-    found = list(wide_scenes())
-    assert len({walk.seed for walk in found}) == len(found) == 50
-    for kind in KINDS:
-        lengths = [walk.baseline for walk in found if walk.kind == kind and walk.path]
-        assert len(lengths) == 10
-        assert max(lengths) > 1.5 * min(lengths)
-    assert not {walk.seed for walk in found} & set(SUITE_SEEDS)
-    for walk in found[::7]:
-        positions = np.stack([pose.position for pose in walk.path])
-        steps = np.diff(positions, axis=0)
-        assert len(positions) == FRAMES_PER_WALK
-        assert np.linalg.norm(steps, axis=1) == pytest.approx(walk.baseline / (FRAMES_PER_WALK - 1), abs=2e-3)
-        np.testing.assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=3e-6)
-        assert np.abs(steps[:, 1]).max() < 0.5 * walk.baseline / (FRAMES_PER_WALK - 1), "none goes straight up"
-
-
 @pytest.fixture
 def one_seed(monkeypatch):
     monkeypatch.setattr(suite_module, "SUPERSAMPLE", 1)
-    monkeypatch.setattr(suite_module.suite_scenes, "__defaults__", (("room",), SUITE_SEEDS[1:]))
+    monkeypatch.setattr(suite_scenes, "__defaults__", (("room",), SUITE_SEEDS[1:]))
 
 
 def make(*arguments):
@@ -113,15 +95,6 @@ def test_the_command_writes_it_and_eval_reads_it(tmp_path):
     assert [pair.scene for pair in pairs] == [f"room-9000002-{b}m" for b in (1, 2, 4)]
     assert all(len(pair.between) == 3 and pair.first.depth is not None for pair in pairs)
     assert isinstance(make(tmp_path / "suite", "--suite", "--size", "32x16").exception, OutputPathError)
-
-
-def test_the_command_writes_the_wide_set(tmp_path, monkeypatch):
-    monkeypatch.setattr(suite_module, "SUPERSAMPLE", 1)
-    monkeypatch.setattr(suite_module.wide_scenes, "__defaults__", ({"jumble": WIDE_SEEDS["jumble"][:2]},))
-    assert make(tmp_path / "wide", "--suite", "--wide", "--size", "32x16").exit_code == 0
-    names = [pair.scene for source in find_scenes(tmp_path / "wide") for pair in choose_pairs(None)(source.read())]
-    assert names == [walk.name for walk in wide_scenes()]
-    assert make(tmp_path / "other", "--wide").exit_code == 2
 
 
 @pytest.mark.parametrize("options", [["--seed", 1], ["--frames", 3], ["--baseline", 2], ["--no-depth"]])

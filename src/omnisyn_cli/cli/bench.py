@@ -74,8 +74,8 @@ def bench(
     omnisyn bench scenes/ --methods omnisyn-balanced,omnisyn-balanced:rows=512 --sizes 1024x512 --threads 1,2
 
     Every combination of method, size and threads makes one clip per pair of panoramas, in its own process. Accuracy
-    needs true frames between. Without a data set the command makes twelve scenes: streets, rooms, homes, jumbles and
-    yards, 1 to 6 metres long. Seconds are summed over all cores and include the encoder.
+    needs true frames between. Without a data set the command makes twelve scenes: streets, rooms and homes, 1 to 6
+    metres long. Seconds are summed over all cores and include the encoder.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli import __version__
     from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report

@@ -13,7 +13,7 @@ from omnisyn_cli.cli.progress import say_when_compiling
 from omnisyn_cli.cli.scenes_render import render
 from omnisyn_cli.cli.terminal import say
 
-KINDS = ("street", "room", "home", "jumble", "yard")
+KINDS = ("street", "room", "home")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
 
 TEXTURES = click.option(
@@ -31,7 +31,7 @@ def scenes() -> None:
 scenes.add_command(render)
 
 
-SUITE_OPTIONS = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"}
+SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
 """Parameters that the standard set has not fixed."""
 
 
@@ -40,10 +40,6 @@ SUITE_OPTIONS = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"
 @click.option(
     "--suite", is_flag=True,
     help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, with three frames between.",
-)  # fmt: skip
-@click.option(
-    "--wide", is_flag=True,
-    help="With --suite: ten scenes of every kind instead, each with one walk of 0.3 to 6 m.",
 )  # fmt: skip
 @click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="Kind of scene.")
 @click.option(
@@ -78,7 +74,7 @@ SUITE_OPTIONS = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"
 @quiet_option
 @click.pass_context
 def make(
-    context: click.Context, out: Path, suite: bool, wide: bool, kind: str, seed: int, count: int, frames: int,
+    context: click.Context, out: Path, suite: bool, kind: str, seed: int, count: int, frames: int,
     size: tuple[int, int], baseline: float | None, tilt: float, vertical: bool, supersample: int,
     names: tuple[str, ...], no_depth: bool, textures: Path | None, threads: int | None, overwrite: bool, quiet: bool,
 ) -> None:  # fmt: skip
@@ -87,8 +83,8 @@ def make(
     A scene appears complete or not at all. Equal seeds make equal scenes, at any number of threads. --overwrite
     replaces only files of the same names; other files in a folder stay.
 
-    With --suite every scene of the standard set gets a folder in OUT, which `omnisyn eval OUT` reads; only --wide,
-    --size, --threads, --overwrite and --quiet apply.
+    With --suite every scene of the standard set gets a folder in OUT, which `omnisyn eval OUT` reads; only --size,
+    --threads, --overwrite and --quiet apply.
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.scene_files import depth_name, write_scene
@@ -100,10 +96,8 @@ def make(
     context.with_resource(say_when_compiling(is_quiet=quiet))
     if suite:
         _check_suite_options(context)
-        _make_suite(out, size, threads, wide=wide, overwrite=overwrite, quiet=quiet)
+        _make_suite(out, size, threads, overwrite=overwrite, quiet=quiet)
         return
-    if wide:
-        raise click.UsageError("expected --wide with --suite, got it alone; add --suite")
     names = names or tuple(f"{frame:04d}.png" for frame in range(frames))
     files = [*names, POSES_NAME] if no_depth else [*names, *map(depth_name, names), POSES_NAME]
     _check_names(names, files, frames)
@@ -139,14 +133,13 @@ def _check_suite_options(context: click.Context) -> None:
         raise click.UsageError(f"expected --suite without {options}: its scenes are fixed; leave one of them out")
 
 
-def _make_suite(
-    out: Path, size: tuple[int, int], threads: int | None, *, wide: bool, overwrite: bool, quiet: bool
-) -> None:
-    """Every scene of the standard or the wide set in a folder of its own; each appears whole or not at all."""
-    from omnisyn_cli.evaluation.scene_files import suite_files, suite_scenes, wide_scenes, write_suite_scene
+def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
+    """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
+    from omnisyn_cli.evaluation.scene_files import suite_files, write_suite_scene
     from omnisyn_cli.io.outputs import make_folder, staged_folder
+    from omnisyn_cli.scenes.suite import suite_scenes
 
-    walks = list(wide_scenes() if wide else suite_scenes())
+    walks = list(suite_scenes())
     for walk in walks:
         _check_folder(out / walk.name, suite_files(), overwrite)
     make_folder(out, "scenes")

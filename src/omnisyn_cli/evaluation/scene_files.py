@@ -1,6 +1,6 @@
 """Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +10,11 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
-from omnisyn_cli.scenes.suite import (
-    FRAMES_PER_WALK,
-    STANDARD_KINDS,
-    SUITE_SEEDS,
-    WIDE_SEEDS,
-    SuiteScene,
-    suite_walks,
-    wide_walk,
-)
+from omnisyn_cli.scenes.suite import FRAMES_PER_WALK, SuiteScene
 
 __all__ = [
     "depth_name",
     "suite_files",
-    "suite_scenes",
-    "wide_scenes",
     "write_renderings",
     "write_scene",
     "write_suite_scene",
@@ -35,20 +25,6 @@ PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 
 SUPERSAMPLE = 3
 """Samples per pixel along each axis of the standard set."""
-
-
-def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = SUITE_SEEDS) -> Iterator[SuiteScene]:
-    """All walks of the standard set; those that a scene has no room for have an empty path."""
-    for kind in kinds:
-        for seed in seeds:
-            yield from suite_walks(kind, seed, generate_scene(kind, seed))
-
-
-def wide_scenes(seeds: Mapping[str, Sequence[int]] = WIDE_SEEDS) -> Iterator[SuiteScene]:
-    """All walks of the wide set, given its seeds by kind."""
-    for kind, of_kind in seeds.items():
-        for seed in of_kind:
-            yield wide_walk(kind, seed, generate_scene(kind, seed))
 
 
 def suite_files() -> list[str]:

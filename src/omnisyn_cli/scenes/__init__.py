@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from omnisyn_cli.scenes.home import home
-from omnisyn_cli.scenes.jumble import jumble, yard
 from omnisyn_cli.scenes.panorama import render_panorama, render_views
 from omnisyn_cli.scenes.paths import sample_path
 from omnisyn_cli.scenes.photos import Photos, pack_photos, with_photos
@@ -27,13 +26,7 @@ __all__ = [
     "sample_path",
 ]
 
-GENERATORS: Mapping[str, Callable[[int], Scene]] = {
-    "street": street,
-    "room": room,
-    "home": home,
-    "jumble": jumble,
-    "yard": yard,
-}
+GENERATORS: Mapping[str, Callable[[int], Scene]] = {"street": street, "room": room, "home": home}
 """Generators by the name of what they make."""
 
 

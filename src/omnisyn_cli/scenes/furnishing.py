@@ -1,13 +1,13 @@
-"""Furniture of rooms and halls: against walls, on floors, on walls, in stock."""
+"""Furniture of rooms: against walls, on floors, on walls."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from omnisyn_cli.scenes import furniture, goods, palette, props
+from omnisyn_cli.scenes import furniture, palette, props
 from omnisyn_cli.scenes.materials import Material, Pattern, random_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder
@@ -36,8 +36,13 @@ OccupiedDisks = list[tuple[float, float, float]]
 """Occupied disks on the floor: x, z and radius, metres."""
 
 
-def furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> None:
-    """Line the walls of a room ("home" or "office") and fill its floor; openings stay clear, and nothing overlaps."""
+def furnish(
+    build: SceneBuilder, cell: Cell, use: str, openings: Openings, extras: Sequence[FurnitureMaker] = ()
+) -> None:
+    """Line the walls of a room ("home" or "office") and fill its floor; openings stay clear, and nothing overlaps.
+
+    ``extras`` are put on the floor where there is room.
+    """
     rng = build.rng
     occupied: OccupiedDisks = []
     size = (cell.high[0] - cell.low[0], cell.high[1] - cell.low[1])
@@ -53,6 +58,10 @@ def furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> No
         _rows_of_desks(build, cell, occupied)
     for _ in range(int(rng.integers(1, 4) + size[0] * size[1] / 9.0)):
         _place_on_floor(build, cell, use, occupied)
+    for extra in extras:
+        x, z = rng.uniform(cell.low[0] + 0.7, cell.high[0] - 0.7), rng.uniform(cell.low[1] + 0.7, cell.high[1] - 0.7)
+        if _is_free(occupied, x, z, 0.5):
+            extra(LocalFrame(build, (x, 0.0, z), rng.uniform(-math.pi, math.pi)))
 
 
 def _is_free(occupied: OccupiedDisks, x: float, z: float, radius: float) -> bool:
@@ -83,7 +92,7 @@ def _place_against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Ope
     local = LocalFrame(build, (x, 0.0, z), yaw)
     choices = WINDOW_FURNITURE if is_open else HOME_WALL_FURNITURE if use == "home" else OFFICE_WALL_FURNITURE
     if rng.random() < 0.12:
-        goods.carton_pile(local)
+        furniture.carton_pile(local)
     else:
         thing = choices[rng.integers(len(choices))]
         if thing is furniture.bed:
@@ -159,7 +168,7 @@ def _floor_items(cell: Cell, use: str) -> tuple[tuple[float, float, FurnitureMak
         (0.6, 0.55, furniture.armchair),
         (0.7, 0.4, furniture.chair),
         (0.78, 0.4, lambda local: props.person(local.build, local.base)),
-        (0.86, 0.35, goods.carton_pile),
+        (0.86, 0.35, furniture.carton_pile),
         (0.93, 0.4, partial(_column, height=cell.height)),
     )
 
@@ -185,90 +194,3 @@ def _column(local: LocalFrame, height: float) -> None:
     else:
         half_wide = build.rng.uniform(0.1, 0.25)
         build.add(Shape.BOX, (x, 0.5 * height, z), (half_wide, 0.5 * height, half_wide), plaster)
-
-
-def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
-    """Fill a hall, leaving aisles along x."""
-    rng = build.rng
-    (x0, z0), (x1, z1) = cell.low, cell.high
-    _beams(build, cell)
-    rack_tall = min(cell.height - 0.6, rng.uniform(2.2, 6.0))
-    aisle = rng.uniform(3.0, 5.5)
-    z = z0 + 0.7
-    while z < z1 - 0.6:
-        roll = rng.random()
-        if roll < 0.6:
-            bays = max(1, min(6, int((x1 - x0) * rng.uniform(0.25, 0.85) / 2.7)))
-            span = 0.5 * bays * 2.7
-            x = rng.uniform(x0 + span + 0.2, max(x0 + span + 0.21, x1 - span - 0.2))
-            goods.rack(LocalFrame(build, (x, 0.0, z), 0.0), bays, rack_tall)
-        elif roll < 0.9:
-            for x in np.arange(x0 + 1.5, x1 - 1.5, rng.uniform(1.8, 4.5)):
-                if rng.random() < 0.6:
-                    base = (float(x), 0.0, z + rng.uniform(-0.2, 0.4))
-                    goods.loaded_pallet(LocalFrame(build, base, rng.normal(0, 0.1)))
-        _marking(build, cell, z + 0.9)
-        z += aisle * rng.uniform(0.8, 1.2)
-    for _ in range(int(rng.integers(2, 7))):
-        x, z = rng.uniform(x0 + 1, x1 - 1), rng.uniform(z0 + 1, z1 - 1)
-        if rng.random() < 0.5:
-            yaw = rng.uniform(0, math.pi)
-            thing = goods.loaded_pallet if rng.random() < 0.6 else goods.carton_pile
-            thing(LocalFrame(build, (x, 0.0, z), yaw))
-        else:
-            furniture.table(LocalFrame(build, (x, 0.0, z), rng.uniform(0, math.pi)), (0.9, 0.4))
-    if rng.random() < 0.5:
-        _columns(build, cell)
-
-
-def _beams(build: SceneBuilder, cell: Cell) -> None:
-    """Add trusses under the roof, and lamps between them."""
-    rng = build.rng
-    (x0, z0), (x1, z1) = cell.low, cell.high
-    steel = Material(Pattern.PLAIN, pick(rng, palette.METAL), grain=0.06)
-    light = Material(Pattern.PLAIN, (0.97, 0.97, 0.95), grain=0.0, glow=2.0)
-    depth = rng.uniform(0.3, 0.7)
-    step = rng.uniform(3.0, 6.0)
-    top = cell.height - 0.05
-    open_truss = rng.random() < 0.5
-    for x in np.arange(x0 + 0.5 * step, x1, step):
-        if open_truss:
-            for y in (top, top - depth):
-                build.box((float(x) - 0.06, y - 0.05, z0), (float(x) + 0.06, y + 0.05, z1), steel, casts_shadow=False)
-            count = max(2, min(8, int((z1 - z0) / 1.4)))
-            for k in range(count):
-                a, b = z0 + k * (z1 - z0) / count, z0 + (k + 1) * (z1 - z0) / count
-                heights = (top, top - depth) if k % 2 else (top - depth, top)
-                build.rod((float(x), heights[0], a), (float(x), heights[1], b), 0.035, steel)
-        else:
-            build.box((float(x) - 0.12, top - depth, z0), (float(x) + 0.12, top, z1), steel, casts_shadow=False)
-        for z in np.arange(z0 + 2.0, z1 - 1.0, rng.uniform(3.0, 6.0)):
-            if rng.random() < 0.85:
-                spot = (float(x) + 0.5 * step, cell.height - rng.uniform(0.2, 0.6), float(z))
-                if spot[0] < x1 - 0.9:
-                    build.add(Shape.BOX, spot, (0.7, 0.05, 0.12), light, casts_shadow=False)
-
-
-def _columns(build: SceneBuilder, cell: Cell) -> None:
-    rng = build.rng
-    concrete = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), (0.4, 0.4, 0.4), grain=0.12)
-    hazard = Material(Pattern.STRIPES, (0.1, 0.1, 0.1), (0.85, 0.68, 0.1), cell=(0.3, 0.3), detail=1.0, grain=0.1)
-    half, step = rng.uniform(0.12, 0.3), rng.uniform(4.0, 7.0)
-    z = rng.uniform(cell.low[1] + 1.5, cell.high[1] - 1.5)
-    for x in np.arange(cell.low[0] + 0.6 * step, cell.high[0] - 0.5, step):
-        build.add(Shape.BOX, (float(x), 0.5 * cell.height, z), (half, 0.5 * cell.height, half), concrete)
-        build.add(Shape.BOX, (float(x), 0.6, z), (half + 0.01, 0.6, half + 0.01), hazard)
-
-
-def _marking(build: SceneBuilder, cell: Cell, z: float) -> None:
-    """Paint a line along the floor, plain or striped."""
-    rng = build.rng
-    if rng.random() < 0.3 or z > cell.high[1] - 0.2:
-        return
-    if rng.random() < 0.5:
-        paint = Material(
-            Pattern.STRIPES, (0.12, 0.12, 0.12), (0.85, 0.68, 0.1), cell=(0.3, 0.3), detail=1.0, grain=0.15
-        )
-    else:
-        paint = Material(Pattern.PLAIN, pick(rng, palette.SIGN), grain=0.2, grain_size=0.4)
-    build.box((cell.low[0] + 0.8, 0.0, z), (cell.high[0] - 0.8, 0.004, z + 0.1), paint, casts_shadow=False)

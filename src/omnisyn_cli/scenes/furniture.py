@@ -5,14 +5,15 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.goods import CARTON
 from omnisyn_cli.scenes.materials import Material, Pattern, plant_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame
 
 BLACK_PLASTIC = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
-"""Materials of legs and feet. Set by hand."""
+CARTON = Material(Pattern.PLAIN, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), grain=0.08, grain_size=0.4, detail=0.3, seed=3)
+DARK = Material(Pattern.PLAIN, (0.04, 0.04, 0.045), (0.03, 0.03, 0.03), grain=0.05)
+"""Materials of legs, feet, boxes and gaps. Set by hand."""
 
 
 def wood(rng: np.random.Generator, plank: float = 0.5) -> Material:
@@ -253,3 +254,47 @@ def stairs(local: LocalFrame, steps: int) -> None:
                 (width - 0.05, rise * (k + 1), -run * k), (width - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail
             )
     local.rod((width - 0.05, rise + 0.9, 0.0), (width - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)
+
+
+def carton_pile(local: LocalFrame) -> None:
+    """Add a few cartons, one on the other."""
+    rng = local.build.rng
+    height = 0.0
+    for _ in range(int(rng.integers(1, 4))):
+        half = (rng.uniform(0.15, 0.32), rng.uniform(0.1, 0.24), rng.uniform(0.15, 0.28))
+        centre = (rng.uniform(-0.04, 0.04), height + half[1], 0.0)
+        local.box(centre, half, CARTON, tint=rng.uniform(0.8, 1.15), turn=rng.uniform(-0.2, 0.2))
+        height += 2.0 * half[1]
+
+
+def kitchen_unit(local: LocalFrame) -> None:
+    """Add a kitchen unit or counter on a dark plinth, its board sticking out."""
+    rng = local.build.rng
+    width, height, depth = rng.uniform(0.4, 1.2), rng.uniform(0.7, 1.0), rng.uniform(0.25, 0.35)
+    local.box((0.0, 0.06, -0.05), (width - 0.02, 0.06, depth - 0.05), DARK)
+    local.box((0.0, 0.5 * (height + 0.12), 0.0), (width, 0.5 * (height - 0.12), depth), wood(rng, 1.0))
+    local.box((0.0, height + 0.02, 0.0), (width + 0.01, 0.02, depth + 0.03), wood(rng))
+
+
+def chandelier(local: LocalFrame) -> None:
+    """Hang a lamp with arms and bulbs from the base, which is a point of the ceiling."""
+    rng = local.build.rng
+    metal = Material(Pattern.PLAIN, pick(rng, palette.METAL), grain=0.03, gloss=0.5)
+    bulb = Material(Pattern.PLAIN, (0.95, 0.9, 0.8), grain=0.02, glow=rng.uniform(0.2, 1.5))
+    drop, reach, rise = rng.uniform(0.3, 0.9), rng.uniform(0.2, 0.5), rng.uniform(-0.1, 0.15)
+    hub = (0.0, -drop, 0.0)
+    local.rod(hub, (0.0, 0.0, 0.0), 0.01, metal)
+    local.ellipsoid(hub, (0.06, 0.06, 0.06), metal)
+    for angle in np.linspace(0.0, 2.0 * math.pi, rng.integers(3, 9), endpoint=False):
+        end = (reach * math.cos(angle), rise - drop, reach * math.sin(angle))
+        local.rod(hub, end, 0.008, metal)
+        local.ellipsoid((end[0], end[1] + 0.05, end[2]), (0.04, 0.06, 0.04), bulb)
+
+
+def tripod(local: LocalFrame) -> None:
+    """Add a tripod with a small head."""
+    height = local.build.rng.uniform(1.0, 1.6)
+    for angle in (0.0, 2.1, 4.2):
+        foot = (0.3 * height * math.cos(angle), 0.0, 0.3 * height * math.sin(angle))
+        local.rod(foot, (0.0, height, 0.0), 0.014, BLACK_PLASTIC)
+    local.box((0.0, height, 0.0), (0.06, 0.05, 0.06), BLACK_PLASTIC)

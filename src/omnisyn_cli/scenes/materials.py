@@ -27,12 +27,10 @@ class Pattern(IntEnum):
     BARS = 12  # vertical bars and rails, open between
     PANELS = 13  # ceiling grid: panel first, joints second, lit panels third
     RIBS = 14  # corrugated sheet
-    CARTON = 15  # cardboard with tape and a label
     PICTURE = 16  # framed picture
     BOOKS = 17  # spines of all three colours
     RUG = 18  # borders and motif
     WINDOW = 19  # one window or door: frame third, glass second
-    MESH = 20  # open lattice
 
 
 class Material(NamedTuple):
@@ -87,7 +85,7 @@ def random_material(
     return Material(pattern, seed=int(rng.integers(1, 1000)), **properties)
 
 
-PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
+PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS)
 """Patterns with holes, which rays pass."""
 
 COLOURS = ("first", "second", "third")

@@ -50,7 +50,6 @@ PHOTO_PLACEMENTS: Mapping[Pattern, tuple[tuple[PhotoMapping, ...], float, float]
     Pattern.WALLPAPER: ((PhotoMapping.TILED,), 0.5, 3.5),
     Pattern.PANELS: ((PhotoMapping.UNDER,), 0.6, 3.0),
     Pattern.RIBS: ((PhotoMapping.TILED,), 0.8, 4.0),
-    Pattern.CARTON: ((PhotoMapping.UNDER,), 0.3, 1.0),
     Pattern.PICTURE: ((PhotoMapping.FITTED,), 1.0, 1.0),
     Pattern.RUG: ((PhotoMapping.FITTED, PhotoMapping.TILED), 0.5, 2.0),
 }

@@ -1,61 +1,40 @@
-"""Rooms: one to three in a row with real openings between them and to the outside, or one large hall."""
+"""Rooms: one to three in a row with real openings between them and to the outside."""
 
+import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.buildings import office
 from omnisyn_cli.scenes.daylight import daylight, sun_at
-from omnisyn_cli.scenes.furnishing import furnish, furnish_hall
+from omnisyn_cli.scenes.furnishing import furnish
 from omnisyn_cli.scenes.materials import Pattern, plant_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Walkway
-from omnisyn_cli.scenes.walls import Cell, Opening, Openings, add_room_shell
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What the rooms are for and how they are lit.
-
-    Attributes:
-        use: "home", "office" or "hall".
-        cells: the rooms, along x.
-        lamp_lit: whether light falls from the ceiling rather than through the windows.
-    """
-
-    use: str
-    cells: tuple[Cell, ...]
-    lamp_lit: bool
+from omnisyn_cli.scenes.walls import WALLS, Cell, Opening, Openings, add_room_shell
 
 
 def room(seed: int) -> Scene:
     """Generate rooms; equal seeds give equal rooms."""
     rng = np.random.default_rng([13, seed])
-    plan = _draw_plan(rng)
-    build = SceneBuilder(rng, lighting=_indoor_light(rng, plan))
-    _add_outdoors(build, rng.uniform(-12, -0.4) if rng.random() < 0.4 else -0.3)
-    openings = _draw_openings(rng, plan)
-    for index, cell in enumerate(plan.cells):
-        add_room_shell(build, cell, openings[index], plan.use, casts_shadow=not plan.lamp_lit)
-        if plan.use == "hall":
-            furnish_hall(build, cell)
-        else:
-            furnish(build, cell, plan.use, openings[index])
-        _add_walkway(build, cell, plan.use)
+    use = str(rng.choice(["home", "office"], p=[0.48, 0.52]))
+    cells = _draw_cells(rng, 7.0 if use == "home" else 11.0)
+    lamp_lit = bool(rng.random() < 0.55)
+    build = SceneBuilder(rng, lighting=indoor_light(rng, lamp_lit=lamp_lit))
+    add_outdoors(build, rng.uniform(-12, -0.4) if rng.random() < 0.4 else -0.3)
+    for cell, openings in zip(cells, _draw_openings(rng, cells), strict=True):
+        add_room_shell(build, cell, openings, use, casts_shadow=not lamp_lit)
+        furnish(build, cell, use, openings)
+        add_walkway(build, cell, 0.45, (1.05, min(2.3, cell.height - 0.5)), (0.3, 2.5), 0.22)
     return build.build("room")
 
 
-def _draw_plan(rng: np.random.Generator) -> _Plan:
-    use = str(rng.choice(["home", "office", "hall"], p=[0.48, 0.3, 0.22]))
-    if use == "hall":
-        size, height = (rng.uniform(10, 30), rng.uniform(8, 20)), rng.uniform(4, 9)
-        cell = Cell((-0.5 * size[0], -0.5 * size[1]), (0.5 * size[0], 0.5 * size[1]), height)
-        return _Plan(use, (cell,), bool(rng.random() < 0.7))
+def _draw_cells(rng: np.random.Generator, largest: float) -> list[Cell]:
+    """One to three rooms along x, at most so many metres wide and deep."""
     count = int(rng.choice([1, 2, 3], p=[0.35, 0.4, 0.25]))
     height = rng.uniform(2.3, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.5)
-    largest = 7.0 if use == "home" else 11.0
     widths = rng.uniform(2.8, largest, count)
     x = -0.5 * float(widths.sum())
     cells = []
@@ -64,10 +43,10 @@ def _draw_plan(rng: np.random.Generator) -> _Plan:
         front = rng.uniform(0.4, 0.6) * depth
         cells.append(Cell((x, front - depth), (x + float(width), front), height))
         x += float(width)
-    return _Plan(use, tuple(cells), bool(rng.random() < 0.55))
+    return cells
 
 
-def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
+def indoor_light(rng: np.random.Generator, *, lamp_lit: bool) -> Lighting:
     """Light from the ceiling, or daylight through the windows; the picture of the sky is that of some day."""
     day = daylight(rng)
     warmth = rng.uniform(0.0, 1.0)
@@ -75,7 +54,7 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
     level = rng.uniform(0.32, 0.55)
     sky = (level * tone[0], level * tone[1], level * tone[2])
     bounce = (0.85 * sky[0], 0.82 * sky[1], 0.77 * sky[2])
-    if plan.lamp_lit:
+    if lamp_lit:
         strength = rng.uniform(0.35, 0.9)
         sun = (strength * tone[0], strength * tone[1], strength * tone[2])
         direction, softness = sun_at(rng.uniform(0, 2 * math.pi), rng.uniform(1.15, 1.5)), rng.uniform(0.06, 0.2)
@@ -86,7 +65,7 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
     return day._replace(haze=0.0, exposure=rng.uniform(1.2, 1.9))
 
 
-def _add_outdoors(build: SceneBuilder, level: float) -> None:
+def add_outdoors(build: SceneBuilder, level: float) -> None:
     """Add the ground outside, and buildings and trees in view of the windows."""
     rng = build.rng
     green = pick(rng, palette.FOLIAGE)
@@ -103,42 +82,49 @@ def _add_outdoors(build: SceneBuilder, level: float) -> None:
                 props.conifer(build, (x, level, z), rng.uniform(7, 14))
 
 
-def _draw_openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
+def _draw_openings(rng: np.random.Generator, cells: Sequence[Cell]) -> list[Openings]:
     """Doors between neighbours and windows to the outside, by cell and by wall: west, east, south, north."""
-    openings: list[Openings] = [{"west": [], "east": [], "south": [], "north": []} for _ in plan.cells]
-    for left, right in zip(range(len(plan.cells)), range(1, len(plan.cells)), strict=False):
-        low = max(plan.cells[left].low[1], plan.cells[right].low[1]) + 0.3
-        high = min(plan.cells[left].high[1], plan.cells[right].high[1]) - 0.3
-        width = min(float(rng.choice([0.85, 1.2, 2.4])), high - low)
-        middle = rng.uniform(low + 0.5 * width, high - 0.5 * width + 1e-9)
-        height = min(rng.uniform(2.0, 2.4), plan.cells[left].height - 0.15)
-        door = Opening(middle - 0.5 * width, middle + 0.5 * width, 0.0, height)
-        openings[left]["east"].append(door)
-        openings[right]["west"].append(door)
-    for cell, walls in zip(plan.cells, openings, strict=True):
+    openings: list[Openings] = [{name: [] for name in WALLS} for _ in cells]
+    for (left, west), (right, east) in itertools.pairwise(zip(cells, openings, strict=True)):
+        low, high = max(left.low[1], right.low[1]) + 0.3, min(left.high[1], right.high[1]) - 0.3
+        door = draw_door(rng, low, high, left.height)
+        west["east"].append(door)
+        east["west"].append(door)
+    for cell, walls in zip(cells, openings, strict=True):
         for name in ("south", "north"):
-            if rng.random() < (0.65 if plan.use != "hall" else 0.4):
-                walls[name] = _draw_windows(rng, cell)
+            if rng.random() < 0.65:
+                walls[name] = draw_windows(rng, cell.low[0], cell.high[0], cell.height)
     return openings
 
 
-def _draw_windows(rng: np.random.Generator, cell: Cell) -> list[Opening]:
-    """A row of equal windows along x."""
-    length = cell.high[0] - cell.low[0]
+def draw_door(rng: np.random.Generator, low: float, high: float, room_height: float) -> Opening:
+    """A doorway somewhere between two places along a wall."""
+    width = min(float(rng.choice([0.85, 1.2, 2.4])), high - low)
+    middle = rng.uniform(low + 0.5 * width, high - 0.5 * width + 1e-9)
+    height = min(rng.uniform(2.0, 2.4), room_height - 0.15)
+    return Opening(middle - 0.5 * width, middle + 0.5 * width, 0.0, height)
+
+
+def draw_windows(rng: np.random.Generator, low: float, high: float, room_height: float) -> list[Opening]:
+    """A row of equal windows along a wall."""
+    length = high - low
     width = min(rng.uniform(0.8, 2.4), length - 0.8)
     count = max(1, int(rng.uniform(0.4, 0.9) * length / (width + 0.5)))
-    sill = float(rng.choice([0.05, rng.uniform(0.7, 1.1)], p=[0.2, 0.8])) if cell.height < 4.6 else cell.height - 2.2
-    head = min(cell.height - 0.2, sill + rng.uniform(1.0, 1.9)) if sill > 0.5 else min(2.3, cell.height - 0.2)
+    sill = float(rng.choice([0.05, rng.uniform(0.7, 1.1)], p=[0.2, 0.8]))
+    head = min(room_height - 0.2, sill + rng.uniform(1.0, 1.9)) if sill > 0.5 else min(2.3, room_height - 0.2)
     step = length / count
-    middles = [cell.low[0] + (k + 0.5) * step for k in range(count)]
+    middles = [low + (k + 0.5) * step for k in range(count)]
     return [Opening(m - 0.5 * width, m + 0.5 * width, sill, head) for m in middles]
 
 
-def _add_walkway(build: SceneBuilder, cell: Cell, use: str) -> None:
-    margin = 0.45
-    low = (cell.low[0] + margin, 1.05, cell.low[1] + margin)
-    high = (cell.high[0] - margin, min(2.3, cell.height - 0.5), cell.high[1] - margin)
-    level = build.ground[3]  # heights of walkways count from the ground
-    low, high = (low[0], low[1] - level, low[2]), (high[0], high[1] - level, high[2])
-    baselines = (0.5, 4.0) if use == "hall" else (0.3, 2.5)
-    build.walkways.append(Walkway(low, high, (0.0, 0.0), baselines, 0.22))
+def add_walkway(
+    build: SceneBuilder, cell: Cell, margin: float, heights: tuple[float, float], baselines: tuple[float, float],
+    clearance: float, max_baseline_in_depths: float | None = None, slope: float = 0.02,
+) -> None:  # fmt: skip
+    """Let cameras stand in a room, at heights above its floor; arguments as of :class:`Walkway`."""
+    low, high = ((x, height - build.ground[3], z) for (x, z), height in zip(_inner(cell, margin), heights, strict=True))
+    build.walkways.append(Walkway(low, high, (0.0, 0.0), baselines, clearance, max_baseline_in_depths, slope))
+
+
+def _inner(cell: Cell, margin: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (cell.low[0] + margin, cell.low[1] + margin), (cell.high[0] - margin, cell.high[1] - margin)

@@ -74,7 +74,7 @@ def _face_point(shape, axis, x, y, z):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def find_holes(surfaces, face, points, is_open):  # type: ignore[no-untyped-def]
-    """Whether rays pass between leaves, bars or wires at points of faces; (n,) faces, (n, 3) points, (n,) results."""
+    """Whether rays pass between leaves or bars at points of faces; (n,) faces, (n, 3) points, (n,) results."""
     for i in range(len(face)):
         shape, axis = surfaces.shapes[surfaces.owner[face[i]]], surfaces.axis[face[i]]
         material = surfaces.materials[shape.material[1 if axis == 1 else 0]]

@@ -144,10 +144,8 @@ def _small_thing(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
 
 def _fence(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     rng = build.rng
-    iron = Material(
-        Pattern(rng.choice([Pattern.BARS, Pattern.BARS, Pattern.MESH])), pick(rng, palette.METAL), cell=(0.13, 0.13),
-        line=0.025, grain=0.05, gloss=0.1,
-    )  # fmt: skip
+    line = float(rng.choice([0.02, 0.025, 0.03]))
+    iron = Material(Pattern.BARS, pick(rng, palette.METAL), cell=(0.13, 0.13), line=line, grain=0.05, gloss=0.1)
     x = side * (plan.road + plan.pavement - 0.12) if rng.random() < 0.6 else side * (plan.road + 0.25)
     height = rng.uniform(0.8, 1.5)
     rotation = rotation_from_rotation_vector(np.array([-math.atan(plan.slope), 0.0, 0.0]))

@@ -235,22 +235,6 @@ def _ribs(m, u, v, fp):  # type: ignore[no-untyped-def]
 
 
 @fast_subkernel
-def _carton(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
-    seed = m.seed + variation
-    a, b = cell_hash(variation, 1, seed), cell_hash(variation, 2, seed)
-    tape = _step(0.03 - abs(u), fp) * 0.55 * (1.0 if v > 0.0 else 0.6)
-    width, height = 0.05 + 0.25 * hu * (0.5 + a), 0.04 + 0.3 * hv * (0.5 + b)
-    u0, v0 = -0.85 * hu + a * (1.5 * hu - width), 0.2 * hv + b * (1.5 * hv - height)
-    label = _inside(u, v, u0, v0, u0 + width, v0 + height, fp)
-    text = pulse(v / 0.035, 0.45, fp / 0.035) * _inside(
-        u, v, u0 + 0.02, v0 + 0.02, u0 + width - 0.03, v0 + height - 0.02, fp
-    )
-    text *= _step(cell_hash(math.floor(u / 0.02), math.floor(v / 0.035), seed) - 0.3, 0.2)
-    edge = 1.0 - 0.18 * (1.0 - _inside(u, v, -hu + 0.012, 0.012, hu - 0.012, 2.0 * hv - 0.012, fp + 0.01))
-    return tape * (1.0 - label), label, edge * (1.0 - 0.75 * text * label), 1.0, 1.0
-
-
-@fast_subkernel
 def _picture(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
     line, seed = m.line, m.seed + variation
     frame = 1.0 - _inside(u, v, -hu + line, line, hu - line, 2.0 * hv - line, fp)
@@ -352,8 +336,6 @@ def pattern_at(m, point, fp):  # type: ignore[no-untyped-def]  # noqa: C901
         result = _panels(m, u, v, fp)
     elif pattern == Pattern.RIBS:
         result = _ribs(m, u, v, fp)
-    elif pattern == Pattern.CARTON:
-        result = _carton(m, u, v, hu, hv, fp, variation)
     elif pattern == Pattern.PICTURE:
         result = _picture(m, u, v, hu, hv, fp, variation)
     elif pattern == Pattern.BOOKS:
@@ -374,16 +356,12 @@ def pattern_at(m, point, fp):  # type: ignore[no-untyped-def]  # noqa: C901
 
 @fast_subkernel
 def is_hole(m, point):  # type: ignore[no-untyped-def]
-    """Whether a ray passes between leaves, bars or wires at a :class:`FacePoint`."""
+    """Whether a ray passes between leaves or bars at a :class:`FacePoint`."""
     u, v, _, hv, x, y, z, variation = point
     pattern = m.pattern
     if pattern == Pattern.LEAVES:
         size = m.cell[0]
         return smooth_noise_3d(x / size, y / size, z / size, m.seed + variation) > 1.0 - 0.62 * m.detail
-    cu, cv, line = m.cell[0], m.cell[1], m.line
-    if pattern == Pattern.BARS:
-        fence = u / cu
-        rail = v < line or v > 2.0 * hv - line or abs(v - 0.18 * hv) < 0.5 * line
-        return not rail and abs(fence - math.floor(fence) - 0.5) * cu > 0.5 * line
-    a, b = u / cu, v / cv
-    return abs(a - math.floor(a) - 0.5) * cu > 0.5 * line and abs(b - math.floor(b) - 0.5) * cv > 0.5 * line
+    rail = v < m.line or v > 2.0 * hv - m.line or abs(v - 0.18 * hv) < 0.5 * m.line
+    fence = u / m.cell[0]
+    return not rail and abs(fence - math.floor(fence) - 0.5) * m.cell[0] > 0.5 * m.line

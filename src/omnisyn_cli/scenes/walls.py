@@ -36,8 +36,11 @@ class Opening:
     top: float
 
 
+WALLS = ("west", "east", "south", "north")
+"""Low and high x, low and high z."""
+
 Openings = dict[str, list[Opening]]
-"""By wall: west and east (low and high x), south and north (low and high z)."""
+"""By wall."""
 
 
 def add_room_shell(
@@ -46,14 +49,14 @@ def add_room_shell(
 ) -> None:  # fmt: skip
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
-    ``use`` is "home", "office" or "hall". The ceiling stops the light from above if it ``casts_shadow``. ``finish``
+    ``use`` is "home" or "office". The ceiling stops the light from above if it ``casts_shadow``. ``finish``
     draws the material of walls, as :func:`omnisyn_cli.scenes.finishes.wall_finish` does.
     """
     rng = build.rng
     paint = finish(rng, use)
     accent = finish(rng, use) if rng.random() < 0.35 else paint
     (x0, z0), (x1, z1) = cell.low, cell.high
-    build.box((x0, -0.3, z0), (x1, 0.0, z1), floor_finish(rng, use), casts_shadow=False)
+    build.box((x0, -0.3, z0), (x1, 0.0, z1), floor_finish(rng), casts_shadow=False)
     _ceiling(build, cell, use, casts_shadow)
     for name, material in (("west", paint), ("east", accent), ("south", paint), ("north", paint)):
         _wall(build, cell, name, openings[name], material)
@@ -62,7 +65,7 @@ def add_room_shell(
                 _window(build, cell, name, opening)
             else:
                 _doorway(build, cell, name, opening)
-        if not openings[name] and use != "hall" and rng.random() < 0.4:
+        if not openings[name] and rng.random() < 0.4:
             _closed_door(build, cell, name)
 
 
@@ -78,14 +81,14 @@ def _ceiling(build: SceneBuilder, cell: Cell, use: str, casts_shadow: bool) -> N
     else:
         surface = tonal_material(Pattern.PLAIN, white, 0.92, grain=0.04, grain_size=1.5)
     build.box((x0, cell.height, z0), (x1, cell.height + 0.3, z1), surface, casts_shadow=casts_shadow)
-    if use != "hall" and rng.random() < 0.3:
+    if rng.random() < 0.3:
         beam = wood(rng, 0.3) if rng.random() < 0.6 else surface
         for z in np.arange(z0 + 0.5, z1 - 0.2, rng.uniform(0.8, 1.6)):
             build.box((x0, cell.height - 0.18, float(z)), (x1, cell.height, float(z) + 0.12), beam, casts_shadow=False)
-    if surface.pattern is Pattern.PLAIN and use != "hall":
+    if surface.pattern is Pattern.PLAIN:
         _ceiling_lamp(build, cell)
     for _ in range(max(1, int((x1 - x0) * (z1 - z0) / 30.0))):
-        power = rng.uniform(0.25, 0.8) * (1.0 if use != "hall" else 6.0)
+        power = rng.uniform(0.25, 0.8)
         spot = (rng.uniform(x0 + 0.8, x1 - 0.8), cell.height - 0.5, rng.uniform(z0 + 0.8, z1 - 0.8))
         if len(build.lamps) < 5:
             build.lamps.append((*spot, power, 0.92 * power, 0.8 * power))

@@ -54,7 +54,7 @@ class SceneConfig:
     """
 
     size: tuple[int, int] = (256, 512)
-    kinds: tuple[str, ...] = ("room", "street", "home", "jumble", "yard")
+    kinds: tuple[str, ...] = ("room", "street", "home")
     pose_error_share: float = 0.3
     pose_error_radians: float = 0.002
     textures: str | None = None

@@ -44,7 +44,7 @@ LOG, CURVE, LATEST_CHECKPOINT = "log.jsonl", "curve.csv", "latest.pt"
 VALIDATION_SEED = 1_000_000
 """Of the first scene to be judged by; scenes to learn from have smaller ones."""
 
-VALIDATION_KINDS = (MESH, "home", MESH, "street", MESH, "room", MESH, "yard", MESH, "jumble", MESH)
+VALIDATION_KINDS = (MESH, "home", MESH, "street", MESH, "room", MESH)
 """Kinds of scenes to be judged by, in turn."""
 
 SHOWN = 5

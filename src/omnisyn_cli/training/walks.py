@@ -144,7 +144,7 @@ class WalkConfig:
 
     size: tuple[int, int] = (256, 512)
     views: int = 4
-    kinds: tuple[str, ...] = (MESH, "home", MESH, "street", MESH, "room", MESH, "yard", MESH, "jumble")
+    kinds: tuple[str, ...] = (MESH, "home", MESH, "street", MESH, "room")
     supersample: int = 2
     textures: str | None = None
     meshes: MeshSource | None = None
