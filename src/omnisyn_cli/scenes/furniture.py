@@ -12,7 +12,7 @@ from omnisyn_cli.scenes.scene import LocalFrame
 BLACK_PLASTIC = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
 CARTON = Material(Pattern.PLAIN, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), grain=0.08, grain_size=0.4, detail=0.3, seed=3)
-DARK = Material(Pattern.PLAIN, (0.04, 0.04, 0.045), (0.03, 0.03, 0.03), grain=0.05)
+DARK_MATERIAL = Material(Pattern.PLAIN, (0.04, 0.04, 0.045), (0.03, 0.03, 0.03), grain=0.05)
 """Materials of legs, feet, boxes and gaps. Set by hand."""
 
 
@@ -271,7 +271,7 @@ def kitchen_unit(local: LocalFrame) -> None:
     """Add a kitchen unit or counter on a dark plinth, its board sticking out."""
     rng = local.build.rng
     width, height, depth = rng.uniform(0.4, 1.2), rng.uniform(0.7, 1.0), rng.uniform(0.25, 0.35)
-    local.box((0.0, 0.06, -0.05), (width - 0.02, 0.06, depth - 0.05), DARK)
+    local.box((0.0, 0.06, -0.05), (width - 0.02, 0.06, depth - 0.05), DARK_MATERIAL)
     local.box((0.0, 0.5 * (height + 0.12), 0.0), (width, 0.5 * (height - 0.12), depth), wood(rng, 1.0))
     local.box((0.0, height + 0.02, 0.0), (width + 0.01, 0.02, depth + 0.03), wood(rng))
 
