@@ -13,10 +13,10 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import forward_frame, sweep_directions
+from omnisyn_cli.networks import paper
 from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
 from omnisyn_cli.networks.paper import (
     PAPER_VARIANTS,
-    UNIT_STEP_POSE,
     PaperConfig,
     PaperNetwork,
     PaperPrediction,
@@ -29,6 +29,7 @@ from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.losses import paper_loss
 from omnisyn_cli.types import View
 
+AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))  # second from first camera: a baseline straight ahead
 SMALL = PaperConfig("small", (64, 128), widths=(4, 6, 8, 8, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
 
 
@@ -56,10 +57,10 @@ def test_every_sphere_is_painted_with_what_the_second_camera_sees_there():
     """Brute force through the plain sampler of the sphere, seam and poles included."""
     spheres, size = np.array([0.0, 0.3, 0.9, 2.0]), (8, 16)
     second = torch.rand(1, 3, *size)
-    grid = torch.from_numpy(sweep_grid(spheres, size))
+    grid = sweep_grid(torch.from_numpy(spheres).float(), size)
     volume = sweep_volume(torch.zeros(1, 3, *size), second, grid)[0]
     for level, inverse_depth in enumerate(spheres):
-        moved = sweep_directions(pixel_directions(*size), np.full(size, inverse_depth), UNIT_STEP_POSE)
+        moved = sweep_directions(pixel_directions(*size), np.full(size, inverse_depth), AHEAD)
         expected = sample_bilinear(second[0].permute(1, 2, 0).double().numpy(), moved)
         np.testing.assert_allclose(volume[:, level].permute(1, 2, 0), expected, atol=1e-5)
 
@@ -69,8 +70,8 @@ def test_ahead_is_where_the_forward_frame_has_the_second_camera():
     two = Pose(rotation_from_rotation_vector(np.array([-0.3, -2.0, 0.4])), np.array([0.9, 0.4, 0.7]))
     first, second, baseline = forward_frame(one, two)
     second_from_first = second.inverse() @ first
-    np.testing.assert_allclose(second_from_first.rotation, UNIT_STEP_POSE.rotation, atol=1e-12)
-    np.testing.assert_allclose(second_from_first.position / baseline, UNIT_STEP_POSE.position, atol=1e-12)
+    np.testing.assert_allclose(second_from_first.rotation, AHEAD.rotation, atol=1e-12)
+    np.testing.assert_allclose(second_from_first.position / baseline, AHEAD.position, atol=1e-12)
 
 
 def test_the_spheres_are_even_in_inverse_depth_and_begin_at_infinity():
@@ -95,7 +96,7 @@ def test_the_difference_is_least_on_the_true_sphere():
     spheres = np.linspace(0.0, 0.8, 9)
     first = functional.interpolate(torch.rand(1, 8, 8, 16), size=size, mode="bilinear")
     second = inside_a_ball(first, truth)
-    volume = sweep_volume(first, second, torch.from_numpy(sweep_grid(spheres, size))).mean(dim=1)[0]
+    volume = sweep_volume(first, second, sweep_grid(torch.from_numpy(spheres).float(), size)).mean(dim=1)[0]
     sideways = volume[:, 10:22, 20:28].argmin(dim=0)
     assert (sideways == 4).float().mean() > 0.95
 
@@ -105,10 +106,9 @@ def test_the_seam_is_nowhere(pair, monkeypatch):
     network = PaperNetwork(SMALL).eval()
     plain = network(*pair)
     size = (16, 32)
-    np.testing.assert_allclose(network.grid(*size), sweep_grid(sphere_inverse_depths(SMALL), size), atol=1e-6)
-    to_the_right = Pose(np.eye(3), np.array([-1.0, 0.0, 0.0]))  # the second camera stands a baseline to the right
-    turned = torch.from_numpy(sweep_grid(sphere_inverse_depths(SMALL), size, to_the_right))
-    monkeypatch.setattr(network, "grid", lambda *_: turned)
+    turned = sweep_grid(torch.from_numpy(sphere_inverse_depths(SMALL)).float(), size).roll(8, 2)
+    turned[..., 0] = (turned[..., 0] + 1 + 16 / 33 - 1 / 33) % (64 / 33) - 1 + 1 / 33  # a baseline to the right
+    monkeypatch.setattr(paper, "sweep_grid", lambda *_: turned)
     rolled = network(*(image.roll(32, -1) for image in pair))
     torch.testing.assert_close(rolled.high, plain.high.roll(32, -1), atol=1e-5, rtol=0)
     torch.testing.assert_close(rolled.low, plain.low.roll(32, -1), atol=1e-5, rtol=0)

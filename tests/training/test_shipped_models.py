@@ -1,4 +1,4 @@
-"""What is shipped is what its checkpoints say, to the byte."""
+"""What is shipped can be trained on: the files hold all weights, by their names."""
 
 from pathlib import Path
 
@@ -6,39 +6,33 @@ import onnx
 import pytest
 import torch
 
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.publish import publish
 
 MODELS = Path(__file__).parents[2] / "models"
 
-SHIPPED = {
-    "completion-balanced": ["completion-balanced"],
-    "depth-guided": ["depth-guided"],
-    "depth-paper-narrow": ["depth-paper-narrow"],
-    "fusion-paper-narrow": ["fusion-paper-narrow"],
-    "fusion-residual": ["fusion-residual"],
-    "synsin-small": ["synsin-depth", "synsin-encoder", "synsin-decoder"],
-}
-"""Models by the checkpoint that they come from."""
-
-NAMED = {"depth-guided": "depth-guided"}
-"""What was exported with ``--name``: the others have the name of their kind and variant."""
+ENTRIES = read_manifest(MODELS)
 
 
-def test_every_shipped_model_has_a_checkpoint():
-    assert sorted(name for names in SHIPPED.values() for name in names) == sorted(read_manifest(MODELS))
+@pytest.mark.parametrize("name", ENTRIES)
+def test_the_module_made_of_a_file_is_exported_to_the_same_file(tmp_path, name):
+    """Byte for byte, where the same release of torch writes it; and it answers as ONNX Runtime does."""
+    entry = ENTRIES[name]
+    made = {each.name: (each, difference) for each, difference in publish(MODELS / entry.file, tmp_path, name=None)}
+    found, difference = next(each for each in made.values() if each[0].role == entry.role)
+    assert found.parameters == entry.parameters
+    assert difference < 1e-4
+    shipped = onnx.load(MODELS / entry.file)
+    written = onnx.load(tmp_path / found.file)
+    for one, other in zip(shipped.graph.initializer, written.graph.initializer, strict=True):
+        assert onnx.numpy_helper.to_array(one).tobytes() == onnx.numpy_helper.to_array(other).tobytes()
+    if shipped.producer_version == torch.__version__.split("+")[0]:
+        assert (tmp_path / found.file).read_bytes() == (MODELS / entry.file).read_bytes()
 
 
-@pytest.mark.parametrize("checkpoint", SHIPPED)
-def test_shipped_models_are_what_their_checkpoints_export_to(tmp_path, checkpoint):
-    """Byte for byte, where the same release of torch writes them."""
-    names, known = SHIPPED[checkpoint], read_manifest(MODELS)
-    shipped = onnx.load(MODELS / known[names[0]].file)
-    if shipped.producer_version != torch.__version__.split("+")[0]:
-        pytest.skip(f"shipped models were written by torch {shipped.producer_version}, this is {torch.__version__}")
-    file = MODELS / "checkpoints" / f"{checkpoint}.pt"
-    published = {entry.name: entry for entry, _ in publish(file, tmp_path, name=NAMED.get(checkpoint))}
-    assert sorted(published) == sorted(names)
-    for name in names:
-        assert (published[name].sha256, published[name].parameters) == (known[name].sha256, known[name].parameters)
-        assert (tmp_path / published[name].file).read_bytes() == (MODELS / known[name].file).read_bytes()
+def test_a_file_that_no_manifest_names_is_refused(tmp_path):
+    (tmp_path / "mine.onnx").write_bytes((MODELS / "synsin-encoder.onnx").read_bytes())
+    with pytest.raises(InputError, match=r"expected a network of the manifest beside .*mine\.onnx, found none"):
+        load_network(tmp_path / "mine.onnx")

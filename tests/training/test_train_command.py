@@ -10,6 +10,7 @@ from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.checkpoint import load_checkpoint
 from omnisyn_cli.training.data import save_arrays
+from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.precision import choose_precision
 from omnisyn_cli.training.publish import publish
 
@@ -99,3 +100,14 @@ def test_a_gpu_that_is_not_there_is_refused_before_anything_is_written(tmp_path,
     result = run("depth", tmp_path / "run", *pools, "--device", "cuda", "--steps", 1)
     assert isinstance(result.exception, InputError)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_begins_with_a_shipped_file(tmp_path):
+    """Its checkpoint after one step at a rate of nearly nothing is the file's network."""
+    shipped = find_model("depth-paper-narrow")
+    pools = [f"--{name}={make_pool(tmp_path / name, size=(128, 256))}" for name in ("pool", "validation-pool")]
+    options = ["--variant", "paper-narrow", "--height", "128", "--steps", "1", "--rate", "1e-12", "--batch", "1"]
+    result = run("depth", tmp_path / "run", *pools, "--begin-with", shipped, *options)
+    assert result.exit_code == 0, result.output
+    begun, after = (load_network(path)[0].state_dict() for path in (shipped, tmp_path / "run" / "checkpoint.pt"))
+    assert all((after[name] - weights).abs().max() < 1e-6 for name, weights in begun.items())

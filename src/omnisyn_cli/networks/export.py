@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from omnisyn_cli.networks.interface import Network
 
-__all__ = ["PARITY", "export_network", "largest_difference"]
+__all__ = ["PARITY", "export_network", "largest_difference", "read_weights"]
 
 OPSET = 18
 """Of ONNX; ONNX Runtime reads it since 1.14."""
@@ -83,6 +83,31 @@ def _halve(graph: onnx.GraphProto) -> None:
     nodes = [*casts, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
+
+
+def read_weights(path: Path) -> dict[str, Tensor]:
+    """The weights of an exported network by their names in the module, and whatever else the file keeps.
+
+    The exporter transposes the weights of linear layers, and keeps equal tensors once.
+    """
+    graph = onnx.load(str(path)).graph
+    arrays = {each.name.removesuffix("_half"): onnx.numpy_helper.to_array(each) for each in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Identity" and node.input[0] in arrays:
+            arrays[node.output[0]] = arrays[node.input[0]]
+        elif node.op_type == "MatMul" and node.input[1] in arrays:
+            arrays[f"{_module_name(node.name)}.weight"] = arrays[node.input[1]].T
+    return {name.removeprefix("network."): torch.tensor(array).float() for name, array in arrays.items()}
+
+
+def _module_name(node: str) -> str:
+    """``network.mlp.0`` of ``/network/mlp/mlp.0/MatMul``."""
+    names: list[str] = []
+    for name in node.strip("/").split("/")[:-1]:
+        if names and name.startswith(f"{names[-1]}."):
+            names.pop()
+        names.append(name)
+    return ".".join(names)
 
 
 def largest_difference(

@@ -17,8 +17,8 @@ sweep and every enlargement go across the seam, the frame is turned in full 3-D,
 Source: OmniSyn, sections 3.1 to 3.4.
 """
 
+import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -26,9 +26,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
-from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.networks.interface import DepthPrediction, NetworkConfig, PairNetwork, check_multiple
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, upsample_linear
@@ -40,9 +37,6 @@ FEATURE_STRIDE = 4
 
 MAX_INVERSE_DEPTH = 4.0
 """Largest inverse depth × baseline that is predicted: a quarter of the baseline away."""
-
-UNIT_STEP_POSE = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
-"""Second from first camera in the forward frame, in baselines: what the first sees straight ahead comes nearer."""
 
 HALF_CONFIDENCE_DIFFERENCE = 0.1
 """Relative difference between the heads at which the confidence is a half: a tenth, as confidence is of 10 %."""
@@ -133,24 +127,27 @@ def sphere_inverse_depths(config: PaperConfig) -> Float[np.ndarray, " levels"]:
 
 
 def sweep_grid(
-    inverse_depths: Float[np.ndarray, " levels"], size: tuple[int, int], second_from_first: Pose = UNIT_STEP_POSE
-) -> Float[np.ndarray, "levels height width 2"]:
-    """Where the second camera sees the points of each sphere, for ``grid_sample`` with aligned corners, float32.
+    inverse_depths: Float[Tensor, " levels"], size: tuple[int, int]
+) -> Float[Tensor, "levels height width 2"]:
+    """Where the second camera sees the points of each sphere, for ``grid_sample`` with aligned corners.
 
-    The coordinates are those of features with a column more at each side and a row more at each pole
-    (:func:`sweep_volume` adds them), so that no sample falls into a gap at the seam.
+    The second camera stands one baseline straight ahead. The coordinates are those of features with a column more at
+    each side and a row more at each pole (:func:`sweep_volume` adds them), so that no sample falls into a gap at the
+    seam. The file of an exported network keeps these steps where the inverse depths depend on what it is shown.
 
     Args:
-        inverse_depths: of the spheres around the first camera, 1/m.
+        inverse_depths: × baseline, of the spheres around the first camera.
         size: height and width of the features.
-        second_from_first: rigid transform, metres.
     """
     height, width = size
-    directions = np.broadcast_to(pixel_directions(height, width), (len(inverse_depths), height, width, 3))
-    moved = sweep_directions(directions, inverse_depths[:, None, None], second_from_first)
-    row, col = direction_to_pixel(moved, size)
-    x, y = 2.0 * (col + 1.0) / (width + 1.0) - 1.0, 2.0 * (row + 1.0) / (height + 1.0) - 1.0
-    return np.stack([x, y], axis=-1).astype(np.float32)
+    zero = 0.0 * inverse_depths[0]
+    polar = (torch.arange(height, device=zero.device) + 0.5 + zero)[:, None] * (math.pi / height)
+    azimuth = (torch.arange(width, device=zero.device) + 0.5 + zero) * (2.0 * math.pi / width) - math.pi
+    right, up = polar.sin() * azimuth.sin(), polar.cos()
+    ahead = polar.sin() * azimuth.cos() - inverse_depths[:, None, None]
+    row = torch.atan2((right.square() + ahead.square()).sqrt(), up) * (height / math.pi) - 0.5
+    col = (torch.atan2(right.expand_as(ahead), ahead) / (2.0 * math.pi) + 0.5) * width - 0.5
+    return torch.stack([2.0 * (col + 1.0) / (width + 1.0) - 1.0, 2.0 * (row + 1.0) / (height + 1.0) - 1.0], dim=-1)
 
 
 def sweep_volume(
@@ -173,18 +170,6 @@ def _pad_sphere(features: Tensor) -> Tensor:
     half = sizes(features)[-1] // 2
     opposite = torch.cat([features[..., half:], features[..., :half]], dim=-1)
     return wrap_columns(torch.cat([opposite[..., :1, :], features, opposite[..., -1:, :]], dim=-2), 1, 1)
-
-
-@lru_cache(maxsize=4)
-def _sweep_quadrant(config: PaperConfig, height: int, width: int) -> Tensor:
-    """The upper left quarter of the sweep: straight ahead is its middle, so that the others mirror it."""
-    grid = sweep_grid(sphere_inverse_depths(config), (height, width))
-    return torch.from_numpy(np.ascontiguousarray(grid[:, : height // 2, : width // 2]))
-
-
-def _mirror_quadrant(quarter: Tensor) -> Tensor:
-    upper = torch.cat([quarter, quarter.flip(2) * quarter.new_tensor([-1.0, 1.0])], dim=2)
-    return torch.cat([upper, upper.flip(1) * quarter.new_tensor([1.0, -1.0])], dim=1)
 
 
 class PaperNetwork(PairNetwork):
@@ -238,19 +223,9 @@ class PaperNetwork(PairNetwork):
         check_multiple(first, self.config.size_multiple)
         height, width = sizes(first)[-2:]
         of_first, of_second = self.features(torch.cat([first, second])).chunk(2)
-        grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE, torch.zeros_like(first[0, 0, 0, 0]))
+        inverse_depths = torch.from_numpy(sphere_inverse_depths(self.config)).to(first) + 0.0 * first[0, 0, 0, 0]
+        grid = sweep_grid(inverse_depths, (height // FEATURE_STRIDE, width // FEATURE_STRIDE))
         spheres = self.volume(sweep_volume(of_first, of_second, grid)).squeeze(1)  # (batch, levels, height/4, width/4)
         low = upsample_linear(self.low_head(spheres), FEATURE_STRIDE)
         high = self.high_head(torch.cat([spheres, of_first.to(spheres.dtype)], dim=1))
         return PaperPrediction(low.float(), high.float())
-
-    def grid(self, height: int, width: int, zero: Tensor | float = 0.0) -> Float[Tensor, "levels height width 2"]:
-        """The sweep for features of a size.
-
-        Args:
-            height: of the features.
-            width: of the features.
-            zero: one that depends on what the network is shown; with it an exported file holds a quarter of the sweep
-                and how the rest follows, not all of it.
-        """
-        return _mirror_quadrant(_sweep_quadrant(self.config, height, width) + zero)

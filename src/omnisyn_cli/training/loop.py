@@ -23,6 +23,7 @@ from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
+from omnisyn_cli.training.exported import load_state
 from omnisyn_cli.training.pictures import Board, contact_sheet
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.task import HELD_OUT_LOSS, TrainConfig, on_device
@@ -182,11 +183,11 @@ class Trainer:
 
 
 def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
-    """The averaged network of a checkpoint, and the checkpoint; its ``"kind"`` says what it is.
+    """The averaged network of a checkpoint or of an exported file, and the checkpoint; its ``"kind"`` says what it is.
 
     Raises InputError: no file, or no checkpoint of a known kind and of this version.
     """
-    state = load_checkpoint(path)
+    state = load_state(path)
     task = task_named(state.get("kind"), path)
     with of_this_version(path):
         network = task.build(task.config.from_dict(state["network"]))

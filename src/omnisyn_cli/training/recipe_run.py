@@ -24,8 +24,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder, write_errors
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation
+from omnisyn_cli.training.exported import load_state
 from omnisyn_cli.training.loop import BEST_CHECKPOINT, CHECKPOINT, PROCESSOR, Trainer
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.recipe import EARLY_STEPS, KIND, Recipe
@@ -235,7 +236,7 @@ def train_recipe(
         textures: photographs of materials.
         meshes: to walk through.
         encoder: weights of the classifier that the encoder of a fresh run begins with; None for random ones.
-        begin_with: a checkpoint, compact or not, that a fresh run goes on from.
+        begin_with: a checkpoint, compact or not, or an exported network that a fresh run goes on from.
         minutes: of wall clock, at most.
         report: called with each row of the curve.
         precision: where and how to compute.
@@ -273,7 +274,7 @@ def _begin(trainer: RecipeTrainer, folder: Path, encoder: Mapping[str, Tensor] |
     own = folder / CHECKPOINT
     path = own if own.exists() else begin_with
     if path is not None:
-        state = load_checkpoint(path)
+        state = load_state(path)
         if state["kind"] != KIND:
             raise InputError(f"expected a {KIND} network in {path}, got a {state['kind']} network; name another one")
         with of_this_version(path):
