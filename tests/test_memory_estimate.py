@@ -61,6 +61,7 @@ def peak_of_interpolation(job: InterpolationJob, chosen: dict[str, str]) -> int:
         (2, (256, 512), {"preset": "fast"}),
         (4, (256, 512), {"preset": "fast"}),
         (2, (256, 512), {"depth": "matching", "renderer": "two-pass"}),
+        (2, (256, 512), {"depth": "matching", "renderer": "points"}),
         (2, (256, 512), {"method": "synsin"}),
     ],
     ids=str,

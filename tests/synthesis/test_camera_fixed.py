@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
@@ -78,6 +79,31 @@ def test_the_same_is_found_whichever_comes_first(pair: tuple[View, View]) -> Non
         assert one is not None
         assert other is not None
         assert (one & other).sum() > 0.7 * (one | other).sum()
+
+
+@pytest.mark.parametrize("kind", ["tripod", "operator"])
+def test_where_the_seam_is_does_not_matter(pair: tuple[View, View], kind: str) -> None:
+    views, quarter = [painted(view, kind) for view in pair], rotation_from_heading(np.pi / 2)
+    rolled = [
+        View(np.roll(view.image, SIZE[1] // 4, axis=1), replace(view.pose, rotation=view.pose.rotation @ quarter.T))
+        for view in views
+    ]
+    for mask, turned in zip(find_camera_fixed(*views), find_camera_fixed(*rolled), strict=True):
+        assert mask is not None
+        assert turned is not None
+        assert (np.roll(mask, SIZE[1] // 4, axis=1) != turned).sum() < 0.01 * mask.sum()
+
+
+def test_a_striped_line_where_another_one_was_is_left(pair: tuple[View, View]) -> None:
+    """Tape on the floor across the way: its pieces are alike, and two of them may lie the same way from the camera."""
+    directions = pixel_directions(*SIZE)
+    way = (pair[0].pose.rotation.T @ (pair[1].pose.position - pair[0].pose.position))[[0, 2]]
+    ground = directions[..., [0, 2]] / np.maximum(-directions[..., 1:2], 1e-3)
+    ahead, across = (ground @ axis / np.hypot(*way) for axis in (way, np.array([-way[1], way[0]])))
+    tape = (np.abs(ahead - 0.3) < 0.05) & (np.abs(across) < 1.5) & (directions[..., 1] < -0.3)
+    colour = np.where((np.floor((across + ahead) / 0.06) % 2 > 0)[..., None], (0.9, 0.8, 0.1), (0.05, 0.05, 0.05))
+    views = [replace(view, image=np.where(tape[..., None], colour, view.image).astype(np.float32)) for view in pair]
+    assert find_camera_fixed(*views) == (None, None)
 
 
 def as_jpeg(view: View, where: np.ndarray, level: int) -> View:

@@ -73,7 +73,7 @@ def test_sources_without_a_name_or_a_model_are_refused() -> None:
 @pytest.mark.parametrize(
     ("unknown", "message"),
     [
-        (RunConfig(renderer="magic"), r"renderer of mesh, two-pass, got 'magic'"),
+        (RunConfig(renderer="magic"), r"renderer of mesh, two-pass, points, got 'magic'"),
         (RunConfig(fusion="magic"), r"fusion of geometric, network, painting, got 'magic'"),
         (RunConfig(method="magic"), r"method of omnisyn, .*, got 'magic'"),
         (RunConfig(DepthSource("magic")), r"depth source of file, .*, got 'magic'"),

@@ -21,7 +21,7 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 
-__all__ = ["NO_POINT", "Cloud", "splat"]
+__all__ = ["NO_POINT", "Cloud", "blend", "list_visible", "splat"]
 
 POINT_RADIUS_ROWS = 4.0
 """Rows of the target that a disc reaches over."""
@@ -162,13 +162,21 @@ def splat(
         threads=threads,
     )
     features = np.concatenate([cloud.features.reshape(-1, cloud.features.shape[-1]) for cloud in clouds])
+    return blend(lists, features, radius=radius, threads=threads)
+
+
+def blend(
+    lists: PointLists, features: Float[np.ndarray, "points channels"], *, radius: float, threads: int | None = None
+) -> Float32[np.ndarray, "rows cols channels+1"]:
+    """:func:`splat` of points that are listed already, with the same radius."""
+    rows, cols = lists.found.shape[:2]
     features = np.ascontiguousarray(features, np.float32)
-    out = np.empty((*size, features.shape[1] + 1), np.float32)
-    sin_p, cos_p, _, _ = direction_tables(*size)
-    angle = disc_angle(radius, size[0])
+    out = np.empty((rows, cols, features.shape[1] + 1), np.float32)
+    sin_p, cos_p, _, _ = direction_tables(rows, cols)
+    angle = disc_angle(radius, rows)
 
     def band(begin: int, end: int) -> None:
         composite(lists.points, lists.found, features, angle, MIN_DIVISOR_OPACITY, sin_p, cos_p, out, begin, end)
 
-    run_ranges(band, size[0], threads)
+    run_ranges(band, rows, threads)
     return out

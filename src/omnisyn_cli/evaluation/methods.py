@@ -5,7 +5,7 @@ at the true depth, make surfaces of another density, hide the second panorama.
 
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
-estimates, which is the density of the mesh), ``renderer`` (``two-pass``), ``fusion=network`` (the geometric
+estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
 does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``fallback`` (what pairs of
 low confidence get), ``nadir=auto`` (what moves with the camera is left out), ``views=1`` (only the first panorama is
@@ -244,6 +244,10 @@ BASES: Mapping[str, ComparedMethod] = {
             "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
             replace(_DEFAULT, renderer="two-pass"),
         ),
+        (
+            "omnisyn-points", "the default preset with a cloud of points instead of meshes",
+            replace(_DEFAULT, renderer="points"),
+        ),
         ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
         (
             "monocular", "depth from each panorama alone, mesh, geometric fusion",
@@ -317,7 +321,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {plain}, "
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {plain}, "
         f"{', '.join(('rows=1024', *WITHOUT_NETWORK))} (where a network refines matching) or {TOUR_PARAMETER} (where "
         f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
     )

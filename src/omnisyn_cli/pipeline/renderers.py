@@ -52,6 +52,12 @@ def _two_pass() -> RendererClass:
     return TwoPassRenderer
 
 
+def _points() -> RendererClass:
+    from omnisyn_cli.baselines.points import PointRenderer
+
+    return PointRenderer
+
+
 RENDERERS: Mapping[str, RendererStrategy] = MappingProxyType({
     renderer.name: renderer
     for renderer in (
@@ -61,6 +67,9 @@ RENDERERS: Mapping[str, RendererStrategy] = MappingProxyType({
         RendererStrategy(
             "two-pass", "the rasteriser of the paper, a baseline", _two_pass, building_bytes=660, kept_bytes=150,
             pixel_bytes=8,
+        ),
+        RendererStrategy(
+            "points", "a cloud of points, a baseline", _points, building_bytes=57, kept_bytes=57, pixel_bytes=100,
         ),
     )
 })  # fmt: skip

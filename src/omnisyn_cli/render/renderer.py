@@ -15,7 +15,7 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader, make_confidence_map
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer
+from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
 
 __all__ = ["MeshRenderer", "Renderer", "RendererClass", "RendererInputs"]
 
@@ -114,8 +114,12 @@ class MeshRenderer:
             partial(self._shader.shade_grid, *surface),
             target_from_source,
             edge_samples=partial(self._edge_samples, target_from_source) if self._samples_edges else None,
-            source_sampler=self._reprojector.sampler(target_from_source),
+            source_sampler=self.source_sampler(target_from_source),
         )
+
+    def source_sampler(self, target_from_source: Pose) -> SourceSampler:
+        """Looks up what the panorama shows of points of the target."""
+        return self._reprojector.sampler(target_from_source)
 
     @property
     def _samples_edges(self) -> bool:

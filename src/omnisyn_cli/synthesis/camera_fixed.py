@@ -28,6 +28,7 @@ from omnisyn_cli.synthesis.nadir_map import (
     look_up,
     map_degrees,
     on_sphere,
+    turn_along,
 )  # fmt: skip
 from omnisyn_cli.synthesis.painted_areas import find_painted
 from omnisyn_cli.types import View
@@ -91,6 +92,9 @@ GROWTH_PIXELS, CLOSING_PIXELS = 8, 4
 MAX_START_DEG, MIN_AREA_DEG2 = 22.0, 60.0
 """Where such an object has to begin, from the nadir, and its least area in square degrees."""
 
+MIN_UNIQUE_SHARE = 0.5
+"""Of the seeds of an object: a striped line on the ground may lie where another one lay in the other picture."""
+
 MARGIN_PIXELS = 2
 """What is left out around everything found: soft edges, shadows of contact."""
 
@@ -106,7 +110,8 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
     """
     if at_same_position(first.pose, second.pose):
         return None, None
-    views, maps = (first, second), (NadirMap.of(first), NadirMap.of(second))
+    turn = turn_along(first.pose.rotation.T @ (second.pose.position - first.pose.position))
+    views, maps = (first, second), (NadirMap.of(first, turn), NadirMap.of(second, turn))
     painted = find_painted(views, maps)
     on_map = [
         np.asarray(sample_nearest(mask.astype(np.float32), each.directions) > 0.5)
@@ -122,7 +127,7 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
     masks = []
     for view, cap, paint in zip(views, caps, painted, strict=True):
         found = _dilated(still | cap if has_cap else still, MARGIN_PIXELS)
-        mask = paint | on_sphere(found, view.image.shape[:2]) if found.any() else paint
+        mask = paint | on_sphere(found, turn, view.image.shape[:2]) if found.any() else paint
         masks.append(mask if mask.any() else None)
     return masks[0], masks[1]
 
@@ -222,7 +227,7 @@ def _find_static_regions(maps: tuple[NadirMap, NadirMap], views: tuple[View, Vie
         is_like = (in_place[k] > MIN_LIKENESS) & (in_place[k] > ground + MIN_LIKENESS_LEAD)
         seeds = is_moving & is_other & is_like & (repeats[k] < 2)
         rest = (difference[k] < MAX_STILL_DIFFERENCE) & (step > MIN_GROUND_DIFFERENCE)
-        kept.append(_objects(seeds, seeds | (_dilated(seeds, GROWTH_PIXELS) & is_moving & rest)))
+        kept.append(_objects(seeds, repeats[k] == 0, seeds | (_dilated(seeds, GROWTH_PIXELS) & is_moving & rest)))
     return _without_holes((kept[0] & _dilated(kept[1], GROWTH_PIXELS)) | (kept[1] & _dilated(kept[0], GROWTH_PIXELS)))
 
 
@@ -231,16 +236,17 @@ def _without_holes(mask: Mask) -> Mask:
     return np.asarray(cv2.drawContours(np.zeros(mask.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0)
 
 
-def _objects(seeds: Mask, region: Mask) -> Mask:
-    """The connected parts of a region that begin near the nadir and have enough seeds."""
+def _objects(seeds: Mask, unique: Mask, region: Mask) -> Mask:
+    """The connected parts of a region that begin near the nadir and have enough seeds, most of which repeat nowhere."""
     opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _disc(CLOSING_PIXELS)) > 0
     label, radius = connected_regions(closed, is_diagonal=True), np.hypot(*map_degrees())
     kept = np.zeros(seeds.shape, bool)
     for number in np.unique(label[seeds & closed]):
         part = label == number
-        has_seeds = np.count_nonzero(part & seeds) * DEG_PER_PIXEL**2 >= MIN_AREA_DEG2
-        if has_seeds and radius[part].min() <= MAX_START_DEG:
+        seed_count = np.count_nonzero(part & seeds)
+        is_unique = np.count_nonzero(part & seeds & unique) >= MIN_UNIQUE_SHARE * seed_count
+        if seed_count * DEG_PER_PIXEL**2 >= MIN_AREA_DEG2 and is_unique and radius[part].min() <= MAX_START_DEG:
             kept |= part
     return kept
 
@@ -271,7 +277,7 @@ def _repetition_count(one: NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -
     The direction of the way of the camera counts twice: a line along it stays in place.
     """
     axes = np.zeros(one.image.shape[:2], int)
-    right, _, down = pose.rotation.T @ way / max(float(np.linalg.norm(way)), 1e-9)
+    right, _, down = one.turn.T @ pose.rotation.T @ way / max(float(np.linalg.norm(way)), 1e-9)
     for axis, count in (((0, 1), 1), ((1, 0), 1), ((1, 1), 1), ((1, -1), 1), ((float(down), float(right)), 2)):
         alike = np.full(axes.shape, -1.0, np.float32)
         for far in REPEAT_PIXELS[:: 3 - count]:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.types import View
 
@@ -18,6 +19,9 @@ MAP_SIZE, MAP_DEG = 200, 70.0
 
 DEG_PER_PIXEL = 2.0 * MAP_DEG / MAP_SIZE
 """Of a map: 0.7°."""
+
+PICTURE_ROWS = 256
+"""Rows to which pictures are reduced before: as fine as the map."""
 
 WINDOW = (9, 9)
 """Windows of the map that are compared."""
@@ -36,6 +40,7 @@ class NadirMap:
         image: ``(MAP_SIZE, MAP_SIZE, 3)`` RGB.
         usable: where it may be used.
         directions: of its pixels, in the frame of the camera.
+        turn: rotation about the vertical that takes the map's frame to that of the camera.
         grey: its mean over the channels.
         variance: of the colours in windows, summed over channels.
     """
@@ -43,16 +48,18 @@ class NadirMap:
     image: Float32[np.ndarray, "rows cols 3"]
     usable: Mask
     directions: Float[np.ndarray, "rows cols 3"]
+    turn: Float[np.ndarray, "3 3"]
     grey: Float32[np.ndarray, "rows cols"]
     variance: Float32[np.ndarray, "rows cols"]
 
     @staticmethod
-    def of(view: View) -> NadirMap:
-        """Of a view; at most as fine as its picture."""
+    def of(view: View, turn: Float[np.ndarray, "3 3"]) -> NadirMap:
+        """Of a view, turned; at most as fine as its picture."""
         x, y = map_degrees()
         angle, azimuth = np.radians(np.hypot(x, y)), np.arctan2(x, -y)
         directions = np.stack([np.sin(angle) * np.sin(azimuth), -np.cos(angle), -np.sin(angle) * np.cos(azimuth)], -1)
-        height = min(view.image.shape[0], round(180.0 / DEG_PER_PIXEL))
+        directions = directions @ turn.T
+        height = min(view.image.shape[0], PICTURE_ROWS)
         size = (height, 2 * height)
         small = cv2.resize(np.asarray(view.image, np.float32), size[::-1], interpolation=cv2.INTER_AREA)
         row, col = direction_to_pixel(directions, size)
@@ -62,7 +69,7 @@ class NadirMap:
             mask = cv2.resize(view.mask.astype(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
             usable = mask[np.clip(np.rint(row), 0, height - 1).astype(int), np.rint(col).astype(int) % size[1]] > 0
         variance = (cv2.blur(image * image, WINDOW) - cv2.blur(image, WINDOW) ** 2) @ np.ones(3, np.float32)
-        return NadirMap(image, usable, directions, image @ np.full(3, 1.0 / 3.0, np.float32), variance)
+        return NadirMap(image, usable, directions, turn, image @ np.full(3, 1.0 / 3.0, np.float32), variance)
 
 
 def map_degrees() -> tuple[np.ndarray, np.ndarray]:
@@ -72,8 +79,16 @@ def map_degrees() -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
+def turn_along(way: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """The turn of maps in which a camera moves up, so that they do not depend on where its panorama has its seam.
+
+    ``way`` is its motion in its own frame.
+    """
+    return rotation_from_heading(float(np.arctan2(way[0], -way[2])))
+
+
 def to_map(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of a map that show directions, in the frame of its camera."""
+    """Columns and rows of a map that show directions, in the frame of the map."""
     across = np.hypot(direction[..., 0], direction[..., 2])
     scale = np.degrees(np.arctan2(across, -direction[..., 1])) / np.maximum(across, 1e-9)
     col, row = ((scale * direction[..., k] + MAP_DEG) / DEG_PER_PIXEL - 0.5 for k in (0, 2))
@@ -86,10 +101,10 @@ def look_up(image: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.remap(image, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(-1.0,) * 3))
 
 
-def on_sphere(found: Mask, size: tuple[int, int]) -> Mask:
-    """What was found in a map, as a mask of the panorama."""
+def on_sphere(found: Mask, turn: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> Mask:
+    """What was found in a turned map, as a mask of the panorama."""
     mask, top = np.zeros(size, bool), int(size[0] * (1.0 - MAP_DEG / 180.0))
-    mask[top:] = look_up(found.astype(np.float32), *to_map(pixel_directions(*size)[top:])) > 0.5
+    mask[top:] = look_up(found.astype(np.float32), *to_map(pixel_directions(*size)[top:] @ turn)) > 0.5
     return mask
 
 
@@ -98,6 +113,6 @@ def ground_pixels(own: NadirMap, views: tuple[View, View], height: float) -> tup
     own_pose, other_pose = views[0].pose, views[1].pose
     world = own.directions @ own_pose.rotation.T
     point = world * (height / np.maximum(-world[..., 1:2], 1e-3)) + own_pose.position - other_pose.position
-    col, row = to_map(point @ other_pose.rotation)
+    col, row = to_map(point @ other_pose.rotation @ own.turn)
     is_below = world[..., 1] < -0.1
     return np.where(is_below, col, -MAP_SIZE), np.where(is_below, row, -MAP_SIZE)
