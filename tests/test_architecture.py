@@ -96,13 +96,14 @@ class Module:
                 yield from ((node.module or "", alias.name) for alias in node.names)
 
     def exported(self) -> set[str]:
-        """The names in ``__all__``."""
+        """The names in ``__all__``, or without it those that the module makes itself and does not hide."""
         for node in self.tree.body:
             if isinstance(node, ast.Assign) and any(
                 isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets
             ):
                 return set(ast.literal_eval(node.value))
-        return set()
+        own = [node for node in self.tree.body if not isinstance(node, (ast.Import, ast.ImportFrom))]
+        return {name for name in top_names(own) if not name.startswith("_")}
 
     def defined(self) -> set[str]:
         """Names that exist at its top level, but for those of type checkers."""
@@ -234,7 +235,7 @@ def test_nothing_is_printed_asserted_or_exited_in_the_library(module: Module) ->
 
 @every_module
 def test_what_is_exported_exists_and_what_other_rooms_take_is_exported(module: Module) -> None:
-    """``__all__`` is what a module is to other rooms; to its own it may be more."""
+    """What a module imports for itself, or hides by an underscore, is nothing to other rooms."""
     if module.name == "omnisyn_cli":
         return
     assert module.exported() <= module.defined(), f"{module.name}: {module.exported() - module.defined()}"

@@ -23,8 +23,6 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer
 
-__all__ = ["DirectFuser"]
-
 MAX_NETWORK_ROWS = 1024
 """Rows of the network's picture; its memory grows with it."""
 

@@ -14,8 +14,6 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 from omnisyn_cli.types import Layer
 
-__all__ = ["PointRenderer"]
-
 RADIUS_ROWS = 1.0
 """Of a disc: 0.71 closes a surface that is seen from where it was taken."""
 

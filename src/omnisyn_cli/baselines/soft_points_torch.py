@@ -24,8 +24,6 @@ from omnisyn_cli.baselines.soft_points import (
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import normalize, pixel_directions
 
-__all__ = ["splat_torch"]
-
 
 def splat_torch(
     features: Sequence[Float[Tensor, "channels height width"]],

@@ -25,8 +25,6 @@ from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panor
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["SynSin"]
-
 
 class SynSin:
     """Frames from the points of one or two panoramas; a :class:`~omnisyn_cli.synthesis.methods.Method`.

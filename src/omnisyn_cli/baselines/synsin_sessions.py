@@ -12,8 +12,6 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.session import run_network
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["MonocularDepthEstimator", "SynSinSessions", "upright_image"]
-
 WORLD_ROTATION = np.eye(3)
 """World from camera of a panorama as the networks want it held: up is up, and it looks along the world's −z."""
 

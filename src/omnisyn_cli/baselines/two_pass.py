@@ -28,8 +28,6 @@ from omnisyn_cli.render.shade import Shader, make_confidence_map
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import Layer
 
-__all__ = ["TwoPassRenderer"]
-
 
 def rasterize_two_pass(
     triangles: Triangles, target_from_source: Pose, size: tuple[int, int], threads: int | None = None

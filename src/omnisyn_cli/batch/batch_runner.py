@@ -36,8 +36,6 @@ from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.outputs import TEMPORARY_PREFIX
 
-__all__ = ["BatchOptions", "BatchReport", "Progress", "run_batch"]
-
 INTERPOLATOR = "omnisyn_cli.batch.interpolations:Interpolator"
 """What workers make their work function with."""
 

@@ -15,8 +15,6 @@ from typing import Self
 from omnisyn_cli.batch.executor import Job, Report, Work, Worker
 from omnisyn_cli.compute.processes import spawn_context
 
-__all__ = ["end_with_parent"]
-
 SHUTDOWN_TIMEOUT_SECONDS = 10
 """That a worker has to finish after its connection is closed; then it is killed."""
 

@@ -27,8 +27,6 @@ from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, real_path
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
-__all__ = ["Manifest", "read_manifest"]
-
 RECORDS = "results.jsonl"
 """File in the folder of a batch that says what became of every job."""
 

@@ -21,8 +21,6 @@ from omnisyn_cli.io import check_output
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.file import POSES_NAME, read_poses
 
-__all__ = ["TourOptions", "plan_tours", "write_manifest"]
-
 
 @dataclass(frozen=True)
 class TourOptions:

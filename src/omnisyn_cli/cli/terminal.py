@@ -6,8 +6,6 @@ import click
 
 from omnisyn_cli.errors import WriteError
 
-__all__ = ["print_json", "printable", "say"]
-
 CONTROL_CODES = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A),
 )  # fmt: skip

@@ -11,8 +11,6 @@ from numba.core.typing.npydecl import parse_dtype, parse_shape
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-__all__ = ["empty", "zeros"]
-
 
 def _array_of(shape: Any, dtype: Any) -> Any:
     """Numba's type of a new array."""

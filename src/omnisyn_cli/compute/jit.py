@@ -23,22 +23,6 @@ except ValueError as error:
 
 from omnisyn_cli.compute.kernel_files import COMPILE_EVENT, OTHER_PROCESS, KernelFiles
 
-__all__ = [
-    "Decorator",
-    "announce_compiling",
-    "are_kernels_kept",
-    "compiled_kernel",
-    "fast_kernel",
-    "fast_subkernel",
-    "inlined",
-    "inlined_contracting",
-    "is_on_disk",
-    "kernel",
-    "subkernel",
-    "when_compiling",
-    "while_compiling",
-]
-
 Decorator = Callable[..., Any]
 """Numba's decorators say nothing about the types of what they make."""
 

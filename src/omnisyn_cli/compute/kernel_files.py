@@ -13,8 +13,6 @@ from typing import Any
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-__all__ = ["COMPILE_EVENT", "OTHER_PROCESS", "KernelFiles"]
-
 COMPILE_EVENT = "numba:compile"
 """What numba calls it."""
 

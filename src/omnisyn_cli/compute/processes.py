@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 
-__all__ = ["safe_path", "spawn_context"]
-
 SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 """Of the environment: an interpreter with it leaves the current directory out of its search path."""
 

@@ -5,8 +5,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["Stopwatch", "while_timing"]
-
 _listeners: list[Callable[[str], None]] = []
 
 

@@ -12,8 +12,6 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TypeVar
 
-__all__ = ["allowed_threads", "at_most", "available_threads", "both", "limited_threads", "run_ranges"]
-
 T = TypeVar("T")
 
 _limit: ContextVar[int | None] = ContextVar("most threads", default=None)

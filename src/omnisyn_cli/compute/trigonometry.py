@@ -6,8 +6,6 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import inlined
 
-__all__ = ["ATAN2_ERROR", "LOG2_ERROR", "atan2_fast", "log2_fast"]
-
 ATAN2_ERROR = 4e-7
 """Largest error of :func:`atan2_fast` in radians, float32 rounding included."""
 

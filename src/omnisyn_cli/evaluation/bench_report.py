@@ -22,8 +22,6 @@ from omnisyn_cli.interpolation.planning.figures import (
 )
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
-__all__ = ["bench_tables", "write_bench_report"]
-
 REPORT_NAME = "bench"
 """Of the files of a report, without their endings."""
 

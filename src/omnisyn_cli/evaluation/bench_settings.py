@@ -29,8 +29,6 @@ from omnisyn_cli.io.outputs import make_folder, staged_folder
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.scenes import generate_scene, sample_path
 
-__all__ = ["BenchJob", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
-
 RESULTS_NAME = "bench.jsonl"
 """A line per finished run."""
 

@@ -34,8 +34,6 @@ from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path
 from omnisyn_cli.scenes.suite import STANDARD_KINDS
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-__all__ = ["DepthTableJob", "depth_sources", "depth_tables", "run_depth_table", "write_depth_tables"]
-
 BASELINE_METRES = 1.0
 """Metres between the two panoramas (the paper's)."""
 

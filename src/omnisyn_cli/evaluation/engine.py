@@ -37,8 +37,6 @@ from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.io.outputs import make_folder
 
-__all__ = ["EvaluationJob", "evaluate", "plan_evaluation", "run_evaluation"]
-
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""
 

@@ -10,8 +10,6 @@ from jaxtyping import Float
 
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-__all__ = ["BASELINE_BINS", "baseline_bin", "median_depth"]
-
 ORACLE_METHODS = frozenset({"oracle-depth"})
 """Methods that are given the true depth, whatever their parameters: upper bounds."""
 

@@ -46,8 +46,6 @@ from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
-__all__ = ["METHODS"]
-
 FIRST_VIEW_SHARE = 1e-9
 """Share of the way at which the exposure of a frame is still that of the first view."""
 

@@ -19,8 +19,6 @@ from pydantic import ConfigDict, TypeAdapter
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.json_lines import append_line, complete_lines
 
-__all__ = ["UnitRecord"]
-
 RESULTS_NAME = "results.jsonl"
 """A line per finished unit."""
 

@@ -12,14 +12,6 @@ from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
 from omnisyn_cli.scenes.suite import FRAMES_PER_WALK, SuiteScene
 
-__all__ = [
-    "depth_name",
-    "suite_files",
-    "write_renderings",
-    "write_scene",
-    "write_suite_scene",
-]
-
 PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 """Of the panoramas of every scene of the standard set."""
 

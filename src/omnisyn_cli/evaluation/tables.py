@@ -22,18 +22,6 @@ from omnisyn_cli.evaluation import grouping
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 from omnisyn_cli.evaluation.uncertainty import Sample, standard_error, undominated
 
-__all__ = [
-    "ERROR_NOTE",
-    "Table",
-    "about_units",
-    "artefact_table",
-    "format_cell",
-    "format_value",
-    "mean_table",
-    "report_tables",
-    "tour_table",
-]
-
 
 @dataclass(frozen=True)
 class Column:

@@ -10,8 +10,6 @@ from typing import Any
 
 from omnisyn_cli.evaluation.results import mean
 
-__all__ = ["Sample", "beats", "standard_error", "undominated"]
-
 Sample = Mapping[tuple[Any, ...], float]
 """Values by where they were measured: the scene, the first panorama, the second, and what tells the rest apart."""
 

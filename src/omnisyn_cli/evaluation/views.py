@@ -13,8 +13,6 @@ from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["load_pair"]
-
 IDENTITY_POSE = Pose.identity()
 """Of frames that are compared in the panorama's own orientation."""
 

@@ -19,8 +19,6 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.outputs import write_errors
 from omnisyn_cli.types import DepthEstimate
 
-__all__ = ["PICTURES_FOLDER"]
-
 ERROR_SCALE = 0.25
 """Mean absolute difference of the channels that has the brightest colour; fixed, so that maps can be compared."""
 

@@ -13,8 +13,6 @@ from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendRule
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, DirectionTables, Layer
 
-__all__ = ["blend_rows", "quantization_for", "quantize_rows"]
-
 RUN_PIXELS = 512
 """Pixels of a row that are blended together, even: 8 kB of scratch for each of two rows stay in the L1 cache."""
 

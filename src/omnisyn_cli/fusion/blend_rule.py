@@ -30,16 +30,6 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
-__all__ = [
-    "FAR_WEIGHT_OFFSET",
-    "HIDDEN_WEIGHT",
-    "RAMP_SHARE",
-    "BlendRule",
-    "LayerArrays",
-    "blend_layers",
-    "view_weights",
-]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FAR_WEIGHT_OFFSET = 0.01

@@ -1,7 +1,5 @@
 """The coarse grid of cells in which ghosts are looked for, and which pixels of a frame it samples."""
 
-__all__ = ["ghost_cell_size", "ghost_sample_step"]
-
 GRID_ROWS = 128
 """Rows of cells in a frame: a cell is 1.4° high, wider than a pixel of displacement by wrong depth. Set by hand."""
 

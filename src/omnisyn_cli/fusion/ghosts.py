@@ -36,8 +36,6 @@ from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import grid_subsample
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, EdgePixels, Layer
 
-__all__ = ["GhostRemover", "GhostSuppression", "have_same_position"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 MAX_DISPLACEMENT_CELLS = 3

@@ -30,8 +30,6 @@ from omnisyn_cli.fusion.window_filters import box_filter, dilate
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 
-__all__ = ["fusion_input_channels"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS, LOG_WEIGHT_RATIO, DEPTH_GAP = (

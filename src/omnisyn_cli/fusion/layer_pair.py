@@ -18,8 +18,6 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.ghosts import GhostSuppression
 from omnisyn_cli.types import ColourStep, EdgePixels, EdgeSamples, Layer
 
-__all__ = ["TILE_ROWS", "LayerPair"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 TILE_ROWS = 32

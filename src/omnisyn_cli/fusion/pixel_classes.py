@@ -12,8 +12,6 @@ from jaxtyping import Bool, Float
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
-__all__ = ["PixelClasses", "classify_pixels", "silhouette_mask"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 

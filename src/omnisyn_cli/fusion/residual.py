@@ -25,8 +25,6 @@ from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.sampling import max_pool
 from omnisyn_cli.types import Layer, SourceSampler
 
-__all__ = ["ResidualFuser", "network_size"]
-
 SIZE_MULTIPLE = 32
 """Of the network's input: it halves its input five times."""
 

@@ -41,8 +41,6 @@ from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import SourceSampler
 
-__all__ = ["CANDIDATE_CHANNELS", "CANDIDATE_RGB", "HYPOTHESIS_DEPTHS", "WarpCandidates"]
-
 CROSS_VIEW, CANDIDATE_RGB, HYPOTHESIS_DEPTHS, HYPOTHESIS_OCCLUSION, CANDIDATE_DIFFERENCE = (
     INPUT_CHANNELS + k for k in (0, 12, 24, 26, 30)
 )

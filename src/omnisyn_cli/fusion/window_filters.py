@@ -10,8 +10,6 @@ from jaxtyping import Num
 
 from omnisyn_cli.geometry.sampling import filter_across_seam, window_max
 
-__all__ = ["box_filter", "dilate"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 

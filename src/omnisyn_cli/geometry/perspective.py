@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions, pixel_scale
 
-__all__ = ["PerspectiveSize", "cell_directions", "equivalent_rows", "pixels_per_radian", "target_tables"]
-
 
 class PerspectiveSize(tuple[int, int]):
     """Height and width of a perspective picture, which looks along −z; it goes wherever sizes of panoramas go.

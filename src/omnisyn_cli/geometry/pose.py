@@ -13,25 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-__all__ = [
-    "SAME_POSITION_METRES",
-    "Pose",
-    "at_same_position",
-    "distance_between",
-    "enu_from_geographic",
-    "heading_from_rotation",
-    "interpolate_pose",
-    "nearest_rotation",
-    "quaternion_from_rotation",
-    "rotation_angle",
-    "rotation_from_heading",
-    "rotation_from_quaternion",
-    "rotation_from_rotation_vector",
-    "rotation_taking",
-    "rotation_vector_from_rotation",
-    "slerp",
-]
-
 SAME_POSITION_METRES = 1e-6
 """Panoramas closer than this were taken from one position: no survey is so exact."""
 

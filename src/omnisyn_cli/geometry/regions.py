@@ -4,8 +4,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Int32
 
-__all__ = ["connected_regions"]
-
 
 def connected_regions(mask: Bool[np.ndarray, "rows cols"], *, is_diagonal: bool) -> Int32[np.ndarray, "rows cols"]:
     """A number > 0 for every region of neighbouring pixels, those across the seam included; 0 outside of the mask.

@@ -9,8 +9,6 @@ from jaxtyping import Float, Float32, Shaped
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 
-__all__ = ["MAX_REMAP_COLUMNS", "RemapTable"]
-
 BORDER_PIXELS = 3
 """Pixels added across the seam and the poles: bicubic interpolation reaches for at most two, and one is spare."""
 

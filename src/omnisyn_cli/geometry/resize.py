@@ -4,8 +4,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-__all__ = ["MIN_USABLE_SHARE", "resize_area", "resize_mask"]
-
 MIN_USABLE_SHARE = 0.99
 """Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
 

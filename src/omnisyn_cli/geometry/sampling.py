@@ -14,22 +14,6 @@ from jaxtyping import Float, Integer, Shaped
 
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 
-__all__ = [
-    "add_border",
-    "add_columns",
-    "filter_across_seam",
-    "grid_subsample",
-    "max_pool",
-    "rotated_directions",
-    "rotated_image",
-    "sample_bicubic",
-    "sample_bilinear",
-    "sample_bilinear_at",
-    "sample_nearest",
-    "window_max",
-    "window_min",
-]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 CATMULL_ROM_SLOPE = -0.5

@@ -20,26 +20,6 @@ import numpy as np
 from array_api_compat import array_namespace
 from jaxtyping import Float
 
-__all__ = [
-    "FORWARD",
-    "UP",
-    "angles_to_direction",
-    "angles_to_pixel",
-    "direction_tables",
-    "direction_to_angles",
-    "direction_to_pixel",
-    "linearised_arccos",
-    "mean_over_sphere",
-    "normalize",
-    "pixel_directions",
-    "pixel_scale",
-    "pixel_to_angles",
-    "pixel_to_direction",
-    "pixel_to_texture",
-    "row_weights",
-    "solid_angles",
-]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FORWARD = np.array([0.0, 0.0, -1.0])

@@ -25,20 +25,6 @@ from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import UP, pixel_directions
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
-__all__ = [
-    "epipole_frame",
-    "forward_frame",
-    "free_space_agreement",
-    "inverse_depth_from_parallax",
-    "motion_in_baselines",
-    "neighbourhood_agreement",
-    "parallax_from_inverse_depth",
-    "reproject_to_second",
-    "swap_cameras_in_epipole_frame",
-    "swap_cameras_in_forward_frame",
-    "sweep_directions",
-]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FREE_SPACE_SLACK = 1e-3

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int32, UInt8
 
-__all__ = ["Material", "TexturedMesh"]
-
 
 @dataclass(frozen=True)
 class Material:

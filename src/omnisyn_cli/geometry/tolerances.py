@@ -4,15 +4,6 @@ Differences of inverse depth are relative to the greater of the two. They were c
 otherwise.
 """
 
-__all__ = [
-    "LEFT_RIGHT_TOLERANCE",
-    "MAX_SQRT_INV_DEPTH",
-    "MESH_CUT_STEP",
-    "OCCLUSION_SCALE",
-    "SAME_POINT_TOLERANCE",
-    "SAME_SURFACE_TOLERANCE",
-]
-
 SAME_SURFACE_TOLERANCE = 0.1
 """Of two estimates: at two sizes, of two views, of neighbouring pixels. Both have errors of their own."""
 

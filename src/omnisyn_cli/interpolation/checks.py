@@ -24,8 +24,6 @@ from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.poses.file import PosedPanorama
 
-__all__ = ["check_choices", "check_method", "check_names"]
-
 SURFACE_FIELDS = (
     "preset", "depth", "model", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback", "save_confidence",
     "save_depth", "view",

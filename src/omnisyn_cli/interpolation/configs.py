@@ -12,8 +12,6 @@ from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.session import check_device_of_networks
 
-__all__ = ["check_device", "page_config", "surface_config", "video_config"]
-
 MIN_FRAMES_TO_SIMPLIFY = 32
 """Between two panoramas, from which on fewer triangles save more time than it takes to find them.
 

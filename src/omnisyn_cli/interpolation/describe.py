@@ -15,8 +15,6 @@ from omnisyn_cli.io.images import read_panorama
 from omnisyn_cli.io.spherical import read_spherical
 from omnisyn_cli.poses.file import read_poses
 
-__all__ = ["describe_file"]
-
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
 """Files that FFmpeg describes."""
 

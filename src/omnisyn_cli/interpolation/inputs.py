@@ -13,8 +13,6 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.poses.file import POSES_NAME, read_poses, stored_file
 from omnisyn_cli.poses.tour_file import TOUR_NAME, read_tour
 
-__all__ = ["NamedTour", "along_path", "named_tour", "poses_beside", "video_ending"]
-
 
 @dataclass(frozen=True)
 class NamedTour:

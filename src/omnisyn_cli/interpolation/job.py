@@ -18,8 +18,6 @@ from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
 
-__all__ = ["CHOICES", "OUTPUTS", "POSES_FROM_PICTURES", "InterpolationJob", "TourJob", "targets"]
-
 Positive = Annotated[float, Gt(0)]
 
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")

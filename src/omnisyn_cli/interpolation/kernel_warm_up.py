@@ -22,8 +22,6 @@ from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.render.raster_kernels import rasterize_blocks
 
-__all__ = ["compiling_beside"]
-
 TINY_SIZE = (64, 128)
 """Rows and columns of its panoramas: enough for every stage, the fusion network too; next to nothing to compute."""
 

@@ -17,8 +17,6 @@ from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["CachedPanorama"]
-
 PanoramaReader = Callable[..., Panorama]
 """Called as :func:`omnisyn_cli.io.read_panorama` is: with a path and its keywords."""
 

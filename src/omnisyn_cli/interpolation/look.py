@@ -13,8 +13,6 @@ from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
 from omnisyn_cli.io.keyframes import read_keyframes
 from omnisyn_cli.synthesis.trajectory import Waypoint
 
-__all__ = ["LOOK_AHEAD", "look_along"]
-
 LOOK_AHEAD, LOOK_FIRST = "ahead", "first"
 """Words for directions."""
 

@@ -25,8 +25,6 @@ from omnisyn_cli.poses.floor import height_in_depth
 from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, diagnosis_sentences
 from omnisyn_cli.types import View
 
-__all__ = ["write_pair_report"]
-
 PICTURE_COLUMNS = 1024
 """Width of the pictures in the page: half of a screen."""
 

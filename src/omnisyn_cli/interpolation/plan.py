@@ -36,8 +36,6 @@ from omnisyn_cli.poses.tour_file import read_tour
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, plan_path
 
-__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "TourPlan", "frame_count", "plan_interpolation", "with_preset"]
-
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
 

@@ -37,9 +37,6 @@ from omnisyn_cli.synthesis.prepared_pair import measure_pair
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator
 
-__all__ = ["run_interpolation"]
-
-
 KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 """Called with the index of a pair and the depth of its two panoramas."""
 

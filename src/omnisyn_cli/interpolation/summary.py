@@ -20,9 +20,6 @@ from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, is_plausible_camera_height
 from omnisyn_cli.synthesis.trajectory import path_length
 
-__all__ = ["Summary", "TourSummary"]
-
-
 CONFIDENCE_WORDS = ((0.6, "high"), (0.45, "medium"), (MIN_PAIR_SCORE, "low"), (0.0, "very low"))
 """Least score of a word. Set by hand."""
 

@@ -10,8 +10,6 @@ from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.io.video import FrameSink
 
-__all__ = ["BackgroundSink", "FrameRing", "frames_in_queue"]
-
 FRAMES_IN_QUEUE = 2
 """More would only cost memory: the slower side, rendering or encoding, decides the pace."""
 

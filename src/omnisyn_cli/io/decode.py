@@ -23,8 +23,6 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.colour import ColourProfile, parse_profile
 from omnisyn_cli.io.heif import AVIF_SUFFIX, HEIC_SUFFIXES, png_of
 
-__all__ = ["MAX_PIXELS", "ImageHeader", "check_is_file", "read_header"]
-
 MAX_PIXELS = 2 * 16384 * 8192
 """Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
 

@@ -12,8 +12,6 @@ from omnisyn_cli.io.images import channel_of, upright
 from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 from omnisyn_cli.io.placement import placement_of
 
-__all__ = ["check_depth_header", "depth_size", "is_depth_header", "read_depth"]
-
 DEPTH_CHANNEL = "Z"
 """The name that OpenEXR has for depth."""
 

@@ -13,18 +13,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from omnisyn_cli.errors import InputError, PoseError
 
-__all__ = [
-    "ForeignModel",
-    "json_path",
-    "listed",
-    "parse_json",
-    "problem_sentence",
-    "read_file_itself",
-    "read_json",
-    "read_text",
-    "validated",
-]
-
 Model = TypeVar("Model", bound=BaseModel)
 
 MAX_DOCUMENT_BYTES = 1 << 30

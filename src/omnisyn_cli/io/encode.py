@@ -11,8 +11,6 @@ from omnisyn_cli.io.decode import SHOWN_ATTRIBUTE
 from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
 from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 
-__all__ = ["IMAGE_SUFFIXES", "image_suffix", "jpeg_bytes"]
-
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 """Files that frames and pictures can be written to."""
 

@@ -15,8 +15,6 @@ import imageio_ffmpeg
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
 from omnisyn_cli.io.sequence import is_ambiguous
 
-__all__ = ["CODECS", "ffmpeg_program"]
-
 X26X_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
 )  # fmt: skip

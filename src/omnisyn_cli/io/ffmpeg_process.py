@@ -16,8 +16,6 @@ from jaxtyping import Shaped, UInt8
 from omnisyn_cli.errors import EncodingError, WriteError
 from omnisyn_cli.io.encoders import ffmpeg_program
 
-__all__ = ["read_frames"]
-
 MAX_STDERR_LINES = 12
 """The last lines of ffmpeg that an error message quotes."""
 

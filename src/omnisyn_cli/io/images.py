@@ -14,16 +14,6 @@ from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
 
-__all__ = [
-    "INTEGER_PEAKS",
-    "check_mask_size",
-    "is_squeezed",
-    "read_panorama",
-    "read_picture",
-    "sphere_size",
-    "usable_part",
-]
-
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""
 

@@ -10,8 +10,6 @@ from xml.parsers.expat import ExpatError
 
 from omnisyn_cli.errors import ImageError
 
-__all__ = ["with_properties"]
-
 XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"
 """With which the segment of the packet begins."""
 

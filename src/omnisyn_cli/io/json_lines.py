@@ -8,8 +8,6 @@ from typing import Any, BinaryIO
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_errors
 
-__all__ = ["append_line", "complete_lines"]
-
 
 def append_line(path: Path, value: Any) -> None:
     """Add a line that has reached the disk when this returns; what a killed run left of one is removed first.

@@ -7,8 +7,6 @@ from pydantic import Field
 
 from omnisyn_cli.io.documents import ForeignModel, read_json, validated
 
-__all__ = ["Keyframe", "read_keyframes"]
-
 
 class Keyframe(ForeignModel):
     """Where the picture looks at a share of the video; degrees from the first panorama's centre, level."""

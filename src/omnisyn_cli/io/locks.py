@@ -11,8 +11,6 @@ from pathlib import Path
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.outputs import real_path
 
-__all__ = ["claimed", "lock"]
-
 if sys.platform == "win32":  # pragma: no cover
 
     def lock(descriptor: int) -> None:

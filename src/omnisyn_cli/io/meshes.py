@@ -18,8 +18,6 @@ import numpy as np
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 
-__all__ = ["MESH_SUFFIXES", "list_meshes", "read_mesh"]
-
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 """Formats that trimesh reads with their textures."""
 

@@ -12,30 +12,6 @@ from pathlib import Path
 
 from omnisyn_cli.errors import OutputPathError, WriteError
 
-__all__ = [
-    "TEMPORARY_PREFIX",
-    "abandoned",
-    "appears_at_once",
-    "check_empty_folder",
-    "check_folder",
-    "check_kept",
-    "check_name",
-    "check_output",
-    "check_staged_folder",
-    "former_files",
-    "hidden_folder",
-    "make_folder",
-    "named_in",
-    "real_path",
-    "replaced_folder",
-    "replaced_when_complete",
-    "staged_folder",
-    "temporary_name",
-    "write_errors",
-    "write_parts",
-]
-
-
 TEMPORARY_PREFIX = ".omnisyn-"
 """Of names that are not final yet."""
 

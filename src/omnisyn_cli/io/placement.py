@@ -9,8 +9,6 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import ImageHeader
 
-__all__ = ["DEFAULT_READING", "Placement", "Reading", "placement_of"]
-
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 """EXIF: those that turn a picture by a quarter, so that width and height change places."""
 

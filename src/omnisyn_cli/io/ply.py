@@ -10,8 +10,6 @@ import numpy as np
 
 from omnisyn_cli.io.outputs import write_parts
 
-__all__ = ["write_ply"]
-
 TYPES = {"<f4": "float", "|u1": "uchar"}
 """PLY's names of numpy's types."""
 

@@ -13,8 +13,6 @@ from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
 from omnisyn_cli.io.outputs import appears_at_once, check_staged_folder, hidden_folder, write_errors
 
-__all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_sequence"]
-
 DEFAULT_NUMBER = "%06d"
 """Of files in a folder: six digits last for nine hours at 30 frames a second."""
 

@@ -29,8 +29,6 @@ from omnisyn_cli.io.boxes import (
 )
 from omnisyn_cli.io.outputs import replaced_when_complete
 
-__all__ = ["read_spherical"]
-
 SPHERICAL_UUID = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
 """Of the box with :data:`SPHERICAL_XML`: Spherical Video V1 RFC."""
 

@@ -10,8 +10,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
 
-__all__ = ["VIDEO_SUFFIXES", "frames_of_video"]
-
 VIDEO_SUFFIXES = frozenset({".360", ".avi", ".insv", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
 """Files that frames are taken from."""
 

@@ -25,15 +25,6 @@ from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, init_small, initialise
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
-__all__ = [
-    "COMPLETION_VARIANTS",
-    "FILLED_CHANNEL",
-    "CompletionConfig",
-    "CompletionNetwork",
-    "CompletionPrediction",
-    "reliable_mask",
-]
-
 FILLED_CHANNEL = 3
 """Input channel with the filled √(inverse depth × baseline) that is corrected."""
 

@@ -14,8 +14,6 @@ from torch.nn import functional
 
 from omnisyn_cli.networks.layers import wrap_columns
 
-__all__ = ["CHANNELS", "EfficientNetLite0"]
-
 STAGES = (
     (1, 3, 1, 1, 32, 16),
     (2, 3, 2, 6, 16, 24),

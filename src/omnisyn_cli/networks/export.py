@@ -13,8 +13,6 @@ from torch import Tensor, nn
 
 from omnisyn_cli.networks.interface import Network
 
-__all__ = ["PARITY", "export_network", "largest_difference", "read_weights"]
-
 OPSET = 18
 """Of ONNX; ONNX Runtime reads it since 1.14."""
 

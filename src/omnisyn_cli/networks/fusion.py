@@ -22,8 +22,6 @@ from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
 from omnisyn_cli.networks.paper_layers import Block, upsample_linear
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
-__all__ = ["FUSION_VARIANTS", "DirectFusionUNet", "FusionConfig", "ResidualFusionUNet", "build_fusion"]
-
 SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 46)
 """Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 of the depth hypotheses."""

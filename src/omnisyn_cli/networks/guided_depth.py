@@ -24,15 +24,6 @@ from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_
 from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
 
-__all__ = [
-    "GUIDANCE_CHANNELS",
-    "GUIDED_DEPTH_VARIANTS",
-    "STRIDE",
-    "GuidedDepthConfig",
-    "GuidedDepthNetwork",
-    "GuidedDepthPrediction",
-]
-
 STRIDE = 4
 """Of the cost volume and of the guidance."""
 

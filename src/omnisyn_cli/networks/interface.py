@@ -9,8 +9,6 @@ from torch import Tensor, nn
 
 from omnisyn_cli.networks.layers import sizes
 
-__all__ = ["DepthPrediction", "Network"]
-
 
 @dataclass(frozen=True)
 class NetworkConfig:

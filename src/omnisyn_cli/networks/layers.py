@@ -12,8 +12,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["WrappedConv"]
-
 LEAK = 0.1
 """Slope of every LeakyReLU below zero."""
 

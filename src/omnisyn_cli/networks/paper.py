@@ -30,8 +30,6 @@ from omnisyn_cli.networks.interface import DepthPrediction, NetworkConfig, PairN
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, upsample_linear
 
-__all__ = ["PAPER_VARIANTS", "PaperConfig", "PaperNetwork", "PaperPrediction"]
-
 FEATURE_STRIDE = 4
 """Pixels of the image per cell of the sphere volume."""
 

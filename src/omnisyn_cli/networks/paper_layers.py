@@ -13,8 +13,6 @@ from torch.nn import functional
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 from omnisyn_cli.networks.layers import sizes, wrap_columns
 
-__all__ = ["row_channel"]
-
 LEAK = 0.01
 """Slope of the LeakyReLU below zero."""
 

@@ -26,8 +26,6 @@ from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_lea
 from omnisyn_cli.networks.paper_layers import row_channel
 from omnisyn_cli.networks.unet import Hourglass
 
-__all__ = ["SYNSIN_VARIANTS", "SynSinConfig", "SynSinNetwork", "inverse_depth_of"]
-
 RGB_CHANNELS = 3
 """Of a panorama."""
 

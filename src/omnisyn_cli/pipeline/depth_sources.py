@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
     from omnisyn_cli.types import DepthEstimator
 
-__all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "DepthSource", "make_estimator"]
-
 Size = tuple[int, int]
 EstimatorMaker = Callable[["DepthSource", Callable[..., Any], "int | None"], "DepthEstimator"]
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from omnisyn_cli.synthesis.methods import Method
     from omnisyn_cli.types import DepthEstimator, Fuser
 
-__all__ = ["make_method"]
-
 
 def make_method(
     config: RunConfig,

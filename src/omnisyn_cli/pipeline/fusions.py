@@ -15,8 +15,6 @@ from omnisyn_cli.pipeline.choices import chosen
 if TYPE_CHECKING:
     from omnisyn_cli.types import Fuser
 
-__all__ = ["FUSIONS", "FuserSettings", "make_fuser"]
-
 MAX_PAINTED_PIXELS = 2 * 1024**2
 """Of the largest picture that a network paints; larger frames are enlarged."""
 

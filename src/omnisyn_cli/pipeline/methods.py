@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
     from omnisyn_cli.types import DepthEstimator, Fuser
 
-__all__ = ["METHODS", "OMNISYN", "SYNSIN_MODELS", "open_synsin"]
-
 OMNISYN = "omnisyn"
 """The method of this program: surfaces from estimated depth, fused."""
 

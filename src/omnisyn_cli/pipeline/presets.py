@@ -7,8 +7,6 @@ from typing import Any
 
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 
-__all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
-
 
 @dataclass(frozen=True)
 class Preset:

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from omnisyn_cli.render.renderer import RendererClass
 
-__all__ = ["RENDERERS"]
-
 
 @dataclass(frozen=True)
 class RendererStrategy:

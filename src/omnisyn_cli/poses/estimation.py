@@ -45,8 +45,6 @@ from omnisyn_cli.poses.registration.scan import Scan, forget_tables, likeness, r
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
-__all__ = ["PairDiagnosis", "PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
-
 DEFAULT_BASELINE = 1.0
 """Metres between two panoramas where no baseline is given."""
 

@@ -32,20 +32,6 @@ from omnisyn_cli.poses.entries import (
     rigid_rotation,
 )
 
-__all__ = [
-    "POSES_NAME",
-    "PoseFile",
-    "PoseUncertainty",
-    "PosedPanorama",
-    "check_companions_named",
-    "check_names_tell_apart",
-    "distinct_names",
-    "notes_of_place",
-    "read_poses",
-    "stored_file",
-    "write_poses",
-]
-
 POSES_NAME = "poses.json"
 """What a pose file is called where a folder stands for its panoramas."""
 

@@ -18,8 +18,6 @@ from omnisyn_cli.stereo.plane_sweep import AxisSweep, fit_plane, significant_sup
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["FLOOR_SIZE", "floor_heights", "height_in_depth"]
-
 FLOOR_SIZE = (256, 512)
 """Height and width of the pair in which planes are found: twice that of the sweep, for the fit."""
 

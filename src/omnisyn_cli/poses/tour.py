@@ -18,8 +18,6 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import normalize
 
-__all__ = ["FloorPlan", "Hotspot", "StartView", "Tour", "TourPanorama", "chain_links", "links_between"]
-
 Link = tuple[str, str]
 """Names of two panoramas that one walks between, in either direction."""
 

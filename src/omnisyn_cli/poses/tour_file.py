@@ -41,8 +41,6 @@ from omnisyn_cli.poses.tour import (
     links_between,
 )
 
-__all__ = ["TOUR_NAME", "read_tour"]
-
 TOUR_NAME = "tour.json"
 """What the file is called where a folder stands for its panoramas."""
 

@@ -10,8 +10,6 @@ from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render.quad_blocks import BLOCK, PlacedQuads
 from omnisyn_cli.render.simd import LANES, broadcast, load, store
 
-__all__ = ["WIDE_QUAD_RADIANS"]
-
 WIDE_QUAD_RADIANS = 0.5
 """Quads that span more azimuth than this are near a pole or the camera: their boxes have all columns. Set by hand."""
 

@@ -17,8 +17,6 @@ from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.compute.threads import run_ranges
 
-__all__ = ["EYE_DISTANCE", "top_bottom"]
-
 EYE_DISTANCE = 0.064
 """Metres between the eyes of most people."""
 

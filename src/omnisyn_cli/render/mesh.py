@@ -45,8 +45,6 @@ from omnisyn_cli.render.quad_blocks import (
 )
 from omnisyn_cli.render.surface_confidence import quarter_confidence
 
-__all__ = ["Cut", "Mesh", "Triangles", "build_mesh", "mask_of_vertices"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 MASKED_INVERSE_DEPTH = -1e-9

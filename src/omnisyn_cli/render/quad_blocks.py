@@ -10,16 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt8
 
-__all__ = [
-    "BOTTOM",
-    "FACES_PER_QUAD",
-    "FACES_PER_QUARTER",
-    "LEFT",
-    "QUARTER_DIRECTIONS",
-    "QUARTER_INVERSE_DEPTHS",
-    "TOP",
-]
-
 TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
 CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
 """Flags of a quad: which of its edges are cut."""

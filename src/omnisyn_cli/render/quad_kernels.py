@@ -33,8 +33,6 @@ from omnisyn_cli.render.simd import (
     where,
 )
 
-__all__ = ["EDGE_ON_DETERMINANT", "split_quad"]
-
 EDGE_ON_DETERMINANT = 1e-13
 """Determinants below this are triangles seen edge-on: they cover nothing."""
 

@@ -27,8 +27,6 @@ from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, li
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.rasterize import Fragments
 
-__all__ = ["render_fragments"]
-
 POLE_CAP_ROWS = 0.5
 """Rows from a source pole within which the azimuth has no gradient, and the polar angle that of a straight line."""
 

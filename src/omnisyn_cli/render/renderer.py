@@ -17,8 +17,6 @@ from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
 
-__all__ = ["MeshRenderer", "Renderer", "RendererClass", "RendererInputs"]
-
 
 @dataclass(frozen=True)
 class RendererInputs:

@@ -17,8 +17,6 @@ from omnisyn_cli.render.shade import FULL_CONFIDENCE, Shader, source_view
 from omnisyn_cli.render.texture import Texture
 from omnisyn_cli.types import DirectionTables, SourceSampler
 
-__all__ = ["Reprojector"]
-
 
 class Reprojector:
     """A panorama with its depth that can be warped into any target.

@@ -21,8 +21,6 @@ from omnisyn_cli.render.shade_kernels import SourceView, TextureArrays, shade_ed
 from omnisyn_cli.render.texture import CHANNELS, Texture, cubic_weights
 from omnisyn_cli.types import DirectionTables, EdgePixels
 
-__all__ = ["ConfidenceMap", "Shader", "make_confidence_map", "source_view"]
-
 InverseDepth = Float32[np.ndarray, "height width"]
 
 

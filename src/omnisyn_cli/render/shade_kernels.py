@@ -24,8 +24,6 @@ from omnisyn_cli.render.simd import (
     store_texel_sum,
 )
 
-__all__ = ["MAX_FULL_RESOLUTION_LEVEL", "MIP_BIAS"]
-
 MAX_FULL_RESOLUTION_RATIO = 1.1
 """Texels per target pixel up to which the full resolution is read by itself, bicubically. Set by hand."""
 

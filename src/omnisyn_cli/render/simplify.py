@@ -27,8 +27,6 @@ from omnisyn_cli.render.simplify_kernels import (
     merge_strips,
 )
 
-__all__ = ["flat_rectangles"]
-
 MAX_SHIFT_PIXELS = 0.125
 """Target pixels (at the equator) by which a vertex may be shifted.
 

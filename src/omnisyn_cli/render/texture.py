@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.simd import FIXED_POINT_UNIT
 
-__all__ = ["Texture", "make_texture"]
-
 BORDER = 2
 """Pixels repeated around every level, across the seam and over the poles, so that kernels need not wrap indices."""
 

@@ -13,8 +13,6 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["CompletionSession", "DirectFusionSession", "GuidedDepthSession", "ResidualFusionSession"]
-
 SIZE_MULTIPLE = 32
 """The completion network halves its input five times: heights and widths are multiples of this."""
 

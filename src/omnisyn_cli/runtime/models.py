@@ -31,8 +31,6 @@ from pydantic import TypeAdapter
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["MANIFEST", "MANIFEST_VERSION", "ModelEntry", "find_model", "models_folder", "read_manifest", "sha256_of"]
-
 MANIFEST = "manifest.toml"
 """Name of the file beside the models."""
 

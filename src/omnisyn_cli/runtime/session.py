@@ -10,8 +10,6 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import find_model
 
-__all__ = ["check_device_of_networks", "open_model", "open_session", "run_depth_network", "run_network"]
-
 DEVICES = ("auto", "cpu", "cuda")
 """Where users can ask for networks to run."""
 

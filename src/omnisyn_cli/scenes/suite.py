@@ -15,8 +15,6 @@ from omnisyn_cli.scenes.room import room
 from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.street import street
 
-__all__ = ["FRAMES_PER_WALK", "STANDARD_KINDS", "SUITE_SEEDS", "SuiteScene", "suite_scenes"]
-
 STANDARD_KINDS = ("street", "room")
 """Generators of the standard set and of the depth table; others may come, these stay what they are."""
 

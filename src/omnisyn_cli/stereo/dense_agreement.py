@@ -13,8 +13,6 @@ from omnisyn_cli.stereo.disparity import MatchingOptions, left_right_check, matc
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import View
 
-__all__ = ["dense_agreement"]
-
 ROWS = 128
 """Of the pair that is matched: a twentieth of a second."""
 

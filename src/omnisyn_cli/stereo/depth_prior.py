@@ -17,8 +17,6 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 
-__all__ = ["DepthPrior", "DisparityPrior"]
-
 MIN_SQRT_INV_DEPTH = 0.3
 """Smaller √(inverse depth × baseline) count as that large where shares of it are taken."""
 

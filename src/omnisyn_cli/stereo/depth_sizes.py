@@ -1,7 +1,5 @@
 """The sizes at which depth is estimated; importing this loads nothing heavy."""
 
-__all__ = ["matching_rows", "refinement_sizes"]
-
 MAX_COMPLETION_ROWS = 512
 """Rows of matching up to which the completion network works: it was trained at these and half of them."""
 

@@ -27,8 +27,6 @@ from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
 from omnisyn_cli.types import View
 
-__all__ = ["PriorModel", "fill_as_expected", "with_priors"]
-
 NETWORK_SIZE = (256, 512)
 """Height and width of the panoramas that the network sees."""
 

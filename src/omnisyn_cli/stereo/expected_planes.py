@@ -13,8 +13,6 @@ from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import Directions, fit_plane
 from omnisyn_cli.stereo.rectify import RectifiedPair
 
-__all__ = ["expected_planes"]
-
 EXPECTED_SIZE = (64, 128)
 """Rows and columns of the expected depth that planes are fitted to."""
 

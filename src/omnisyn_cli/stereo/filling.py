@@ -21,8 +21,6 @@ from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
-__all__ = ["fill_with_planes"]
-
 PLANE_FIT_RADII_RAD = (0.8, 0.2, 0.05)
 """Radians over which planes are fitted, widest first; each result is the fallback of the next. Chosen by eye."""
 

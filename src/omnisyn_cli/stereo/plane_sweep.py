@@ -37,16 +37,6 @@ from omnisyn_cli.stereo.plane_fitting import (
 )
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
-__all__ = [
-    "EXPLAINED_COST",
-    "AxisSweep",
-    "Directions",
-    "fit_plane",
-    "significant_support",
-    "sweep_directions",
-    "sweep_planes",
-]
-
 T = TypeVar("T")
 
 MIN_SWEEP_ROWS = 64

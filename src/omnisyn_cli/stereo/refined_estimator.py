@@ -40,8 +40,6 @@ from omnisyn_cli.stereo.stereo_features import (
 )
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["RefinedDepthEstimator"]
-
 EDGE_SEARCH_RADIUS = 12
 """Pixels: edges of the smaller map are no farther from the true edges than this; chosen by eye."""
 

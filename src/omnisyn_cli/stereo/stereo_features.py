@@ -17,14 +17,6 @@ from omnisyn_cli.geometry.sweep import reproject_to_second
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 from omnisyn_cli.stereo.depth_prior import DepthPrior
 
-__all__ = [
-    "CompletionModel",
-    "InvDepthWithConfidence",
-    "StereoFeatures",
-    "completion_channels",
-    "sqrt_inv_depth",
-]
-
 InvDepthWithConfidence = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
 """Inverse depth in 1/baselines, and confidence in [0, 1]."""
 

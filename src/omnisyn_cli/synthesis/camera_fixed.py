@@ -33,8 +33,6 @@ from omnisyn_cli.synthesis.nadir_map import (
 from omnisyn_cli.synthesis.painted_areas import find_painted
 from omnisyn_cli.types import View
 
-__all__ = ["find_camera_fixed"]
-
 CAP_RADII_DEG = (4.0, 45.0)
 """Least and largest radius of a cap. Set by hand, as are all constants of this file."""
 

@@ -34,8 +34,6 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
 
-__all__ = ["ChainDepth"]
-
 COLOUR_MISMATCH_SCALE = 0.02
 """Difference of colours that makes an estimate e times less likely where two contradict each other."""
 

@@ -31,14 +31,6 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererInputs
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
-__all__ = [
-    "CROSS_CHECK_SIZE",
-    "CrossCheck",
-    "equalize_exposure",
-    "resized_to",
-    "subsample_depth",
-]
-
 CROSS_CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
 

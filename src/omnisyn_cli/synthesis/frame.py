@@ -18,8 +18,6 @@ from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
 
-__all__ = ["Frame", "FrameAllocator", "fuse_frame"]
-
 FrameAllocator = Callable[[], UInt8[np.ndarray, "height width 3"]]
 
 

@@ -19,8 +19,6 @@ from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale, solid_ang
 from omnisyn_cli.synthesis.nadir_map import MAP_SIZE, look_up, to_map
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["continue_ground"]
-
 ViewPair = tuple[View, View]
 DepthPair = tuple[DepthEstimate, DepthEstimate]
 

@@ -20,8 +20,6 @@ from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions, 
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
-__all__ = ["Method", "Pair", "SurfaceMethod", "SurfacePair"]
-
 
 class Pair(Protocol):
     """Two neighbouring views between which frames are made; not shared between threads."""

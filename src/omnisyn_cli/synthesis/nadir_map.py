@@ -12,8 +12,6 @@ from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.types import View
 
-__all__ = ["NadirMap"]
-
 MAP_SIZE, MAP_DEG = 200, 70.0
 """Rows of a map, and the angle from the nadir to the middle of its sides."""
 

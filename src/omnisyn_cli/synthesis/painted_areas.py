@@ -18,8 +18,6 @@ from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.synthesis.nadir_map import GROUND_HEIGHTS, NadirMap, ground_pixels, look_up
 from omnisyn_cli.types import View
 
-__all__ = ["find_painted"]
-
 MAX_ROWS = 1024
 """Rows of a picture that are looked at. Set by hand, as are all constants of this file."""
 

@@ -22,8 +22,6 @@ from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["SynthesisOptions", "drawn_surfaces", "measure_pair", "usable_image"]
-
 
 @dataclass(frozen=True)
 class SynthesisOptions:

@@ -26,8 +26,6 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.synthesis.consistency import CrossCheck, resized_to
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
-__all__ = ["UNCUT", "is_enclosed", "needs_soft_surface", "soften_pair"]
-
 UNCUT = Cut(None, None)
 """Soft surfaces have no steps that stand for silhouettes."""
 

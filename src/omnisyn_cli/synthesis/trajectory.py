@@ -15,8 +15,6 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, distance_between, rotation_taking, slerp
 from omnisyn_cli.geometry.sphere import FORWARD
 
-__all__ = ["EASES", "HEADINGS", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
-
 Ease = Literal["linear", "smooth"]
 Heading = Literal["panoramas", "first", "fixed", "travel"]
 EASES: tuple[Ease, ...] = ("linear", "smooth")

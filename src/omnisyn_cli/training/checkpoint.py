@@ -11,8 +11,6 @@ import torch
 
 from omnisyn_cli.errors import InputError, WriteError
 
-__all__ = ["compact", "load_checkpoint", "save_checkpoint"]
-
 REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 """What every checkpoint has, compact or not."""
 

@@ -27,8 +27,6 @@ from omnisyn_cli.training.data import Augmentation, FeatureBatch, load_samples, 
 from omnisyn_cli.training.line_scenes import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
-__all__ = ["make_feature_scene"]
-
 ORDERED_PAIRS = 4
 """Ordered pairs per scene."""
 

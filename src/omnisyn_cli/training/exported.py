@@ -11,8 +11,6 @@ from omnisyn_cli.runtime.models import ModelEntry, read_manifest
 from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version
 from omnisyn_cli.training.tasks import TASKS, kinds_for
 
-__all__ = ["load_state"]
-
 SYNSIN = "synsin"
 """The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …"""
 

@@ -8,8 +8,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.training.checkpoint import load_checkpoint
 from omnisyn_cli.training.tasks import TASKS
 
-__all__ = ["FoundCheckpoint", "checkpoints_below"]
-
 SEARCH_PATTERNS = ("*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/*.pt", "*/checkpoints/*.pt")
 """Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom."""
 

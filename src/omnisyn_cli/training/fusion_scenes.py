@@ -52,8 +52,6 @@ from omnisyn_cli.training.line_scenes import TiltedConfig, noisy_pose, random_ro
 from omnisyn_cli.training.walks import load_walk, walk_views
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
-__all__ = ["FusionSceneConfig", "make_fusion_scene"]
-
 RENDER_SCALE, PICTURE_SCALE = 4, 2
 """Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
 

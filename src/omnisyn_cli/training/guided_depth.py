@@ -25,8 +25,6 @@ from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres,
 from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.walks import Walk, baseline_ratios, load_walk
 
-__all__ = ["GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
-
 MAX_BASELINE_RATIO = 2.5
 """Baselines over median depth above this are not drawn."""
 

@@ -39,8 +39,6 @@ from omnisyn_cli.training.losses import depth_scores, paper_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
 from omnisyn_cli.training.triples import Triples, swap_cameras
 
-__all__ = ["JointConfig"]
-
 FUSION_WEIGHT = 1.0
 """Weight of the picture's loss beside that of the depth: both count the same."""
 

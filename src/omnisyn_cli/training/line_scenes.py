@@ -35,8 +35,6 @@ from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, rende
 from omnisyn_cli.training.data import TrainingScene, save_scene
 from omnisyn_cli.types import View
 
-__all__ = ["LineSceneConfig", "TiltedConfig", "add_views", "make_scene_files", "pair_path", "render_line_scene"]
-
 PATH_STOPS = 9
 """Positions along a path that views are drawn from; the ends are always taken."""
 

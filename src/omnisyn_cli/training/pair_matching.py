@@ -16,10 +16,6 @@ from omnisyn_cli.stereo.stereo_features import StereoFeatures, sqrt_inv_depth
 from omnisyn_cli.training.data import Augmentation, vary_colours
 from omnisyn_cli.types import View
 
-__all__ = [
-    "MATCHING_CHANNELS", "draw_pose_error", "facing_the_other", "match_views", "reduced_matching", "views_to_match",
-]  # fmt: skip
-
 MATCHING_CHANNELS = 4
 """√(inverse depth × baseline) of the best match, share that is left-right consistent, share that is sky, and the root
 of the filled map."""

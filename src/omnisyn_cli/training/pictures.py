@@ -12,8 +12,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.io.outputs import write_errors
 
-__all__ = ["Board"]
-
 MAX_SHOWN_ERROR = 0.25
 """Difference of √(inverse depth × baseline) with the brightest colour; fixed, so that steps can be compared."""
 

@@ -7,8 +7,6 @@ import torch
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["choose_precision"]
-
 DEVICES = ("auto", "cpu", "cuda")
 """Where users can ask for training to run."""
 

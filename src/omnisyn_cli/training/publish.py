@@ -20,8 +20,6 @@ from omnisyn_cli.training.synsin import blend_points, draw_views
 from omnisyn_cli.training.task import Task, TrainConfig
 from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
 
-__all__ = ["publish"]
-
 COMPARED_EXAMPLES = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
 

@@ -13,8 +13,6 @@ from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.training.tasks import TASKS
 from omnisyn_cli.training.walks import WalkConfig
 
-__all__ = ["EARLY_STEPS", "KIND", "Recipe", "Stage", "read_recipe"]
-
 KIND = "guided"
 """Of the networks that recipes train, see :data:`omnisyn_cli.training.tasks.TASKS`."""
 

@@ -34,8 +34,6 @@ from omnisyn_cli.training.task import TrainConfig
 from omnisyn_cli.training.tasks import TASKS
 from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk, save_walk
 
-__all__ = ["RecipeTrainer", "train_recipe"]
-
 SCENE_FOLDER, VALIDATION_FOLDER = "walks", "validation-walks"
 """Folders of scenes in the folder of a run."""
 

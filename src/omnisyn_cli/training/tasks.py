@@ -35,8 +35,6 @@ from omnisyn_cli.training.synsin import draw_views
 from omnisyn_cli.training.task import Task
 from omnisyn_cli.training.triples import draw_pairs, draw_triples
 
-__all__ = ["TASKS", "kinds_for", "task_of"]
-
 NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 

@@ -40,21 +40,6 @@ from omnisyn_cli.training.data import is_made_by, save_arrays
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = [
-    "MESH",
-    "MeshSource",
-    "Walk",
-    "WalkConfig",
-    "baseline_ratios",
-    "list_walks",
-    "load_walk",
-    "make_walk",
-    "matched_walk",
-    "mesh_walk",
-    "save_walk",
-    "walk_views",
-]
-
 MESH = "mesh"
 """Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`."""
 

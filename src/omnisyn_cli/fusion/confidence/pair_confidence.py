@@ -20,8 +20,6 @@ from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
-__all__ = ["PairConfidence", "WindowComparison", "assess_pair", "compare_windows"]
-
 MIN_PAIR_SCORE = 0.3
 """Score below which a clip is unreliable: a plain cross-fade is about as close to the truth."""
 

@@ -12,8 +12,6 @@ from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, srgb_to_
 from omnisyn_cli.fusion.photometry.exposure_kernels import expose_rows
 from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
 
-__all__ = ["CLIPPING_SRGB", "MAX_CLIPPED_WEIGHT_LOSS"]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 CLIPPING_SRGB = np.float32(0.94)

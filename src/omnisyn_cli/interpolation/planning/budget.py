@@ -13,8 +13,6 @@ from omnisyn_cli.interpolation.planning.duration import Duration, expected_durat
 from omnisyn_cli.interpolation.planning.figures import Figures, gain, quality
 from omnisyn_cli.pipeline.presets import SCALE
 
-__all__ = ["apply_budget"]
-
 
 @dataclass(frozen=True)
 class Choice:

@@ -21,8 +21,6 @@ from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, read_table
 from omnisyn_cli.pipeline.config import RunConfig
 
-__all__ = ["Duration", "expected_duration", "probe", "shipped_table"]
-
 TABLE_NAME = "pareto.json"
 """Figures of speed that come with the program."""
 

@@ -21,22 +21,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.pipeline.config import RunConfig
 
-__all__ = [
-    "FIGURES",
-    "FRAME_STAGES",
-    "STANDARD_FRAMES",
-    "Figures",
-    "Setting",
-    "first_seconds",
-    "frame_seconds",
-    "gain",
-    "pair_stages",
-    "pareto_front",
-    "quality",
-    "standard_seconds",
-    "write_table",
-]
-
 FRAME_STAGES = ("render", "fuse", "encode")
 """``encode`` is what is in no other stage: samples are converted and handed on, and the encoder works."""
 

@@ -19,8 +19,6 @@ from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.entries import checked_quaternion
 from omnisyn_cli.poses.formats.files import data_lines, numbers
 
-__all__ = ["HEADER", "IMAGES", "MODEL_FILES", "Frame", "Image", "Model", "Rig", "is_model", "read_model"]
-
 IMAGES = "images.txt"
 
 BINARY_IMAGES = "images.bin"

@@ -19,8 +19,6 @@ from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.file import stored_file
 from omnisyn_cli.poses.formats.model import ImportedView, ImportOptions
 
-__all__ = ["images_in", "natural_key"]
-
 IMAGE_SUFFIXES = frozenset(
     {".avif", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".jxl", ".mpo", ".png", ".tif", ".tiff", ".webp"}
 )

@@ -16,8 +16,6 @@ from omnisyn_cli.poses.entries import checked_rotation
 from omnisyn_cli.poses.formats.files import data_lines, entries, images_in, natural_key, numbers
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, noted
 
-__all__ = ["habitat_pose"]
-
 MIN_NOTED_ROTATION = 1e-6
 """Radians; smaller rotations are rounding and get no note."""
 

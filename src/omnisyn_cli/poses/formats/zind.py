@@ -22,8 +22,6 @@ from omnisyn_cli.io.documents import ForeignModel, listed, read_json, validated
 from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions
 
-__all__ = ["ZIND_FILE_NAME", "Panorama", "pose_on_floor", "read_tour"]
-
 ZIND_FILE_NAME = "zind_data.json"
 
 

@@ -8,8 +8,6 @@ import numpy as np
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, Explanation, Fit, Verdict
 from omnisyn_cli.poses.registration.robust import Estimate
 
-__all__ = ["camera_height_sentence", "diagnosis_sentences", "diagnosis_values", "is_plausible_camera_height"]
-
 PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)
 """Metres above the floor: from a tripod on the ground to the roof of a car."""
 

@@ -11,8 +11,6 @@ from jaxtyping import Float
 
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
 
-__all__ = ["Lighting", "draw_lighting"]
-
 GOLDEN_RATIO = (1.0 + math.sqrt(5.0)) / 2.0
 """Turns of a spiral by it spread points evenly (Fibonacci lattice)."""
 

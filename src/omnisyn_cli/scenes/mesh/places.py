@@ -11,8 +11,6 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.scenes.mesh.lighting import sphere_directions
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
 
-__all__ = ["Place", "find_line", "find_places", "find_walk"]
-
 EYE_HEIGHTS = (1.1, 1.9)
 """Metres above the floor."""
 

@@ -9,8 +9,6 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 
-__all__ = ["Caster", "Hits", "MeshCaster"]
-
 LAYERS = 8
 """Surfaces with holes that a ray passes at most."""
 

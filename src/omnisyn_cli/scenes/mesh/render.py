@@ -16,8 +16,6 @@ from omnisyn_cli.scenes.mesh.lighting import Lighting
 from omnisyn_cli.scenes.mesh.raycast import Caster, Hits, MeshCaster
 from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
 
-__all__ = ["Drawable", "MeshScene", "render", "render_mesh"]
-
 SHOULDER = 0.6
 """Light up to which the picture is proportional to it; beyond that it nears 1."""
 

@@ -7,8 +7,6 @@ from jaxtyping import Float, UInt8
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.scenes.mesh.raycast import Hits, MeshCaster
 
-__all__ = ["SurfaceColours"]
-
 SHINING = 3.0
 """Light of what is emissive."""
 

@@ -8,8 +8,6 @@ from jaxtyping import Bool, UInt8
 
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 
-__all__ = ["papered_mesh", "varied_mesh"]
-
 SCALES = (0.75, 1.35)
 """Least and largest factor of the size. Set by hand."""
 
