@@ -1,12 +1,9 @@
-import json
-
 import numpy as np
 import pytest
 from training_samples import TINY, make_pool
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.training.loop import TrainConfig, train
-from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, Board, contact_sheet, depth_pictures
+from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, contact_sheet, depth_pictures
 
 
 @pytest.fixture
@@ -57,37 +54,3 @@ def read_sheet(path):
     from omnisyn_cli.io.decode import decode_image
 
     return decode_image(path)[1]
-
-
-def test_the_board_holds_what_the_log_holds_and_the_pictures(tmp_path, config):
-    pytest.importorskip("tensorboard")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    board = Board(tmp_path / "board")
-    train(TINY, config, tmp_path / "run", steps=4, board=board)
-    board.close()
-    events = EventAccumulator(str(tmp_path / "board"))
-    events.Reload()
-    rows = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
-    for name in ("loss", "rate", "imae", "delta_25"):
-        found = [(event.step, event.value) for event in events.Scalars(name)]
-        assert found == [(row["step"], pytest.approx(row[name])) for row in rows]
-    assert set(events.Tags()["images"]) == {"input", "prediction", "truth", "error"}
-    shown = events.Images("truth")
-    assert [event.step for event in shown] == [2, 4]
-    assert (shown[0].height, shown[0].width) == (64, 128)
-
-
-def test_a_board_without_tensorboard_is_an_error_that_says_what_to_install(tmp_path, monkeypatch):
-    import builtins
-
-    real = builtins.__import__
-
-    def without(name, *rest, **options):
-        if name.startswith(("tensorboard", "torch.utils.tensorboard")):
-            raise ImportError(name)
-        return real(name, *rest, **options)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError, match="pip install tensorboard"):
-        Board(tmp_path)

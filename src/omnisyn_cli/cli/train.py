@@ -60,7 +60,6 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
         click.option("--seed", default=0, type=at_least_0, help="Seed of weights and batches.", **shown),
         click.option("--threads", default=0, type=at_least_0, help="Processor threads. [default: all]"),
         click.option("--device", default="auto", type=click.Choice(DEVICES), help=half, **shown),
-        click.option("--tensorboard", type=FOLDER, help="Write curves and pictures for TensorBoard here."),
     )
 
 
@@ -179,16 +178,13 @@ def _beginning(chosen: str, role: str) -> tuple[Any, dict[str, Any]]:
 
 def _train(
     network: Any, name: str, folder: Path, threads: int, minutes: float | None, steps: int | None, device: str,
-    tensorboard: Path | None, begin_with: Path | None, height: int | None = None,
+    begin_with: Path | None, height: int | None = None,
     weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
-    from contextlib import ExitStack, closing
-
     import torch
 
     from omnisyn_cli.training.loop import TrainConfig, part_of
     from omnisyn_cli.training.loop import train as run
-    from omnisyn_cli.training.pictures import Board
     from omnisyn_cli.training.precision import choose_precision
     from omnisyn_cli.training.tasks import task_of
 
@@ -208,12 +204,10 @@ def _train(
         every, device = trainer.config.validate_every, trainer.precision
         say(f"{folder}: from step {trainer.step} on {device}, with a line every {every} steps", err=True)
 
-    with ExitStack() as stack:
-        board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
-        run(
-            network, config, folder, minutes=math.inf if minutes is None else minutes, steps=steps, report=_show,
-            precision=precision, board=board, weights=weights, on_start=say_where,
-        )  # fmt: skip
+    run(
+        network, config, folder, minutes=math.inf if minutes is None else minutes, steps=steps, report=_show,
+        precision=precision, weights=weights, on_start=say_where,
+    )  # fmt: skip
 
 
 def _size(network: Any, name: str, height: int) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
 from omnisyn_cli.training.exported import load_state
-from omnisyn_cli.training.pictures import Board, contact_sheet
+from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.task import HELD_OUT_LOSS, TrainConfig, on_device
 from omnisyn_cli.training.tasks import TASKS, NetworkConfig, parts_of, task_named, task_of
@@ -217,7 +217,6 @@ def train(
     steps: int | None = None,
     report: Callable[[dict[str, Any]], None] = lambda row: None,
     precision: Precision = PROCESSOR,
-    board: Board | None = None,
     weights: Mapping[str, torch.Tensor] | None = None,
     on_start: Callable[[Trainer], None] = lambda trainer: None,
 ) -> Trainer:
@@ -235,7 +234,6 @@ def train(
         steps: total number of steps to reach, at most.
         report: called with each row of the log.
         precision: where and how to compute; a checkpoint can go on with another one.
-        board: gets each row and the pictures as well.
         weights: that a fresh run begins with, by name; the others are random.
         on_start: called once, before the first step, when everything has been found right.
 
@@ -259,8 +257,6 @@ def train(
             report(row)
             if trainer.surpasses(trainer.scores.get(HELD_OUT_LOSS, math.nan)):
                 save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
-            if board is not None:
-                board.add(row, pictures)
             losses, pool = [], list_scene_files(Path(config.pool), *trainer.task.pools)
         if trainer.step % config.save_every == 0 or out_of_time:
             save_checkpoint(path, trainer.state())

@@ -1,16 +1,11 @@
-"""What networks say, to look at while they learn: the picture, the answer, the truth, and the error; TensorBoard."""
-
-from collections.abc import Mapping
-from pathlib import Path
+"""What networks say, to look at while they learn: the picture, the answer, the truth, and the error."""
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
-from omnisyn_cli.io.outputs import write_errors
 
 MAX_SHOWN_ERROR = 0.25
 """Difference of √(inverse depth × baseline) with the brightest colour; fixed, so that steps can be compared."""
@@ -85,48 +80,3 @@ def _colourize(share: np.ndarray, colours: int) -> Float32[np.ndarray, "height w
     """RGB of values in [0, 1]; beyond, the last colour."""
     level = np.rint(np.clip(np.nan_to_num(share), 0.0, 1.0) * 255.0).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(level, colours)[..., ::-1], np.float32) / np.float32(255.0)
-
-
-class Board:
-    """What a run logs, as event files for TensorBoard: figures as curves, pictures beside them.
-
-    Args:
-        folder: that ``tensorboard --logdir`` is pointed at; made if it is not there.
-
-    Raises:
-        InputError: TensorBoard is not installed.
-        WriteError: the folder cannot be written.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise InputError(
-                "expected the package tensorboard for --tensorboard, found none; pip install tensorboard"
-            ) from error
-        self._folder = folder
-        with write_errors(folder):
-            self._writer = SummaryWriter(str(folder))
-
-    def add(
-        self, row: Mapping[str, float], pictures: Mapping[str, Float32[np.ndarray, "height width 3"]] | None = None
-    ) -> None:
-        """Add a row of the log at its ``step``, and pictures by name; they have reached the disk when this returns.
-
-        Args:
-            row: of the log, with ``step``.
-            pictures: RGB in [0, 1].
-        """
-        step = int(row["step"])
-        with write_errors(self._folder):
-            for name, value in row.items():
-                if name != "step":
-                    self._writer.add_scalar(name, value, step)
-            for name, picture in (pictures or {}).items():
-                self._writer.add_image(name, picture, step, dataformats="HWC")
-            self._writer.flush()
-
-    def close(self) -> None:
-        """Close the event file."""
-        self._writer.close()
