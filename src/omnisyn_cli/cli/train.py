@@ -178,8 +178,7 @@ def _beginning(chosen: str, role: str) -> tuple[Any, dict[str, Any]]:
 
 def _train(
     network: Any, name: str, folder: Path, threads: int, minutes: float | None, steps: int | None, device: str,
-    begin_with: Path | None, height: int | None = None,
-    weights: Mapping[str, Any] | None = None, **options: Any,
+    begin_with: Path | None, height: int | None = None, weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
     import torch
 

@@ -319,7 +319,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {plain}, "
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {plain}, "
         f"{', '.join(('rows=1024', *WITHOUT_NETWORK))} (where a network refines matching) or {TOUR_PARAMETER} (where "
         f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
     )
