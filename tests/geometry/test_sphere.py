@@ -5,7 +5,6 @@ import pytest
 import torch
 from geometry_samples import POLES, directions
 
-from omnisyn_cli.geometry import sphere
 from omnisyn_cli.geometry.sphere import (
     LINEARISED_CAP,
     angles_to_direction,
@@ -141,7 +140,3 @@ def test_numpy_and_torch_agree():
     np.testing.assert_allclose(pixel_to_direction(torch.from_numpy(row), torch.from_numpy(col), (8, 16)), expected)
     cosine = np.linspace(-1, 1, 101)
     np.testing.assert_allclose(linearised_arccos(torch.from_numpy(cosine)), linearised_arccos(cosine), atol=1e-15)
-
-
-def test_all_names_exist():
-    assert all(hasattr(sphere, name) for name in sphere.__all__)
