@@ -14,7 +14,13 @@ from omnisyn_cli.poses.registration.least_squares import (
     rotation_error,
     uncertainty,
 )
-from omnisyn_cli.poses.registration.robust import MIN_MATCHES, estimate_relative_pose, inlier_threshold
+from omnisyn_cli.poses.registration.robust import (
+    MIN_MATCHES,
+    Verticals,
+    estimate_relative_pose,
+    inlier_threshold,
+    log_false_alarms,
+)
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.6])
@@ -124,3 +130,19 @@ def test_a_known_pose_wins_that_is_less_likely_by_chance():
     alone_found = estimate_relative_pose(matches)
     assert alone_found is not None
     assert direction_error(alone_found.first_from_second, wrong) < np.radians(1.0)
+
+
+def test_upright_cameras_need_fewer_matches_that_lie_apart():
+    """All that a corridor shows lies around its two ends: enough for level cameras, not for any two."""
+    rng, up = np.random.default_rng(5), np.array([0.0, 1.0, 0.0])
+    second = Pose(rotation_from_rotation_vector(0.7 * up), unit(np.array([0.3, 0.0, -1.0])))
+    ends = np.array([0.0, 0.0, 1.0]) * rng.choice([-1.0, 1.0], (40, 1)) * rng.uniform(4.0, 12.0, (40, 1))
+    right = seen(Pose.identity(), second, ends + rng.uniform(-1.2, 1.2, (40, 3)))
+    wrong = unit(rng.normal(size=(2, 60, 3)))
+    matches = Matches(np.concatenate([right.first, wrong[0]]), np.concatenate([right.second, wrong[1]]), PIXEL)
+    estimate = estimate_relative_pose(matches, verticals=Verticals(up, up, are_certain=True))
+    assert estimate is not None
+    assert direction_error(estimate.first_from_second, second) < np.radians(3.0)
+    kinds = [None, Verticals(up, -up, are_certain=True), Verticals(up, up, are_certain=False)]
+    general, contradicting, level = (log_false_alarms(second, matches, kind) for kind in kinds)
+    assert level < general - 4.0 < contradicting - 8.0

@@ -97,6 +97,8 @@ def _place(header: ImageHeader, *, has_pose: bool) -> Place:
             raise PoseError(
                 f"{header.path}: expected GPS {name} as degrees, minutes and seconds, got {value!r}; correct the tag"
             )
+        if not header.attributes.get(f"GPS:{name}Ref"):
+            raise PoseError(f"{header.path}: expected GPS {name}Ref (on which half of the earth), got none; add it")
         angles.append(angle)
     pitch, roll = (header.number(f"GPano:Pose{name}Degrees") or 0.0 for name in ("Pitch", "Roll"))
     place = Place(angles[0], angles[1], heading, pitch, roll, header.altitude)

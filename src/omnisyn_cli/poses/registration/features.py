@@ -23,8 +23,8 @@ from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_scale, pixel_to_d
 MAX_IMAGE_ROWS = 1024
 """Larger panoramas are reduced to this height: features are then found within about 0.05°."""
 
-MAX_FEATURES = 6000
-"""Of a panorama; matching takes time with its square."""
+MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
+"""Points that are looked for in a flat image, and features of a panorama; matching takes time with its square."""
 
 BAND_LATITUDE = math.asin(1.0 / math.sqrt(3.0))
 """Latitude within which every direction lies in one of three orthogonal bands."""
@@ -125,12 +125,13 @@ def strongest_features(
     response: Float[np.ndarray, " n"],
     usable: Bool[np.ndarray, "rows cols"] | None,
     pixel: float,
+    count: int = MAX_FEATURES,
 ) -> Features:
-    """At most :data:`MAX_FEATURES` of SIFT's points where the panorama is usable."""
+    """At most ``count`` of SIFT's points where the panorama is usable."""
     if usable is not None:
         kept = np.asarray(sample_nearest(usable.astype(np.float32), direction) > 0)
         direction, descriptor, response = direction[kept], descriptor[kept], response[kept]
-    strongest = np.argsort(-response, kind="stable")[:MAX_FEATURES]
+    strongest = np.argsort(-response, kind="stable")[:count]
     return Features(direction[strongest], _root_sift(descriptor[strongest]), pixel)
 
 
@@ -150,11 +151,13 @@ def match_features(first: Features, second: Features) -> Matches:
     return Matches(first.direction[chosen], second.direction[best[chosen]], pixel)
 
 
-def grey_of(image: Float[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "rows cols"]:
-    """Luma of a panorama as uint8, at most :data:`MAX_IMAGE_ROWS` high."""
+def grey_of(
+    image: Float[np.ndarray, "height width 3"], max_rows: int = MAX_IMAGE_ROWS
+) -> UInt8[np.ndarray, "rows cols"]:
+    """Luma of a panorama as uint8, at most so many rows high."""
     luma: np.ndarray = np.asarray(image, np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
-    if len(luma) > MAX_IMAGE_ROWS:
-        luma = cv2.resize(luma, (2 * MAX_IMAGE_ROWS, MAX_IMAGE_ROWS), interpolation=cv2.INTER_AREA)
+    if len(luma) > max_rows:
+        luma = cv2.resize(luma, (2 * max_rows, max_rows), interpolation=cv2.INTER_AREA)
     return np.asarray(np.rint(luma.clip(0.0, 1.0) * 255.0), np.uint8)
 
 
@@ -196,7 +199,7 @@ def detect_sift(
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"], Float[np.ndarray, " n"]]:
     """Column and row, descriptor and response of SIFT's points in a flat image."""
     threshold = SIFT_CONTRAST_THRESHOLD
-    sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=threshold, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(nfeatures=MAX_SIFT_POINTS, contrastThreshold=threshold, enable_precise_upscale=True)
     points, descriptor = sift.detectAndCompute(image, None)
     if not points:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros(0)

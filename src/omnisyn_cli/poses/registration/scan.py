@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import normalize
+from omnisyn_cli.geometry.sphere import UP, normalize
 from omnisyn_cli.poses.registration.features import (
     Features,
     Matches,
@@ -20,9 +20,11 @@ from omnisyn_cli.poses.registration.features import (
     match_features,
 )
 from omnisyn_cli.poses.registration.gravity import Lines, Vertical, face_table, find_lines, find_vertical
+from omnisyn_cli.poses.registration.least_squares import refine_pose
 from omnisyn_cli.poses.registration.levelled_features import (
     LevelledFeatures,
     find_levelled_features,
+    fine_grey_of,
     match_levelled_features,
 )
 from omnisyn_cli.poses.registration.robust import (
@@ -31,18 +33,24 @@ from omnisyn_cli.poses.registration.robust import (
     estimate_from_subset,
     estimate_relative_pose,
     inlier_threshold,
+    log_false_alarms,
     support_mask,
 )
 from omnisyn_cli.stereo.dense_agreement import dense_agreement
 from omnisyn_cli.types import View
 
-ENOUGH_INLIERS = 60
-"""Agreeing matches from which on no more are looked for; with fewer, a pose is often off by a degree."""
+ENOUGH_INLIERS, ENOUGH_SHARE = 60, 0.25
+"""Agreeing matches, and their share, from which on no more are looked for. With fewer a pose is often off by a degree,
+with a smaller share it may be that of repeated things."""
 
 
 MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 """Share of its matches that a direction to the other side needs to be tried, and how much better pictures have to agree
 with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`)."""
+
+MAX_RIVAL_LOG_FALSE_ALARMS = -20.0
+"""How unlikely such a direction has to be by chance. (In a real corridor of equal doors pictures agreed 2.8 times
+better with a wrong direction, whose logarithm was −9.)"""
 
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
 """Directions to the other side that two matches each propose, and how many of the best are counted exactly."""
@@ -67,7 +75,7 @@ class Scan:
     """One panorama as registration sees it.
 
     Attributes:
-        grey: reduced luma.
+        fine_grey: luma for :attr:`levelled`.
         small: the picture in colour at :data:`SMALL_ROWS`.
         usable: where it may be used; None is everywhere.
         features: the strongest features.
@@ -75,7 +83,7 @@ class Scan:
         threads: at most this many in OpenCV.
     """
 
-    grey: UInt8[np.ndarray, "height width"]
+    fine_grey: UInt8[np.ndarray, "height width"]
     small: Float[np.ndarray, "rows cols 3"]
     usable: Bool[np.ndarray, "all_rows all_cols"] | None
     features: Features
@@ -103,10 +111,15 @@ class Scan:
         """The zenith in the camera's frame."""
         return find_vertical(self.lines)
 
+    @property
+    def zenith(self) -> Float[np.ndarray, " 3"]:
+        """Its vertical; that of a level camera where lines do not tell it for certain."""
+        return self.vertical.up if self.vertical.is_certain else UP
+
     @cached_property
     def levelled(self) -> LevelledFeatures:
         """Features of walls and floor; found when they are first asked for."""
-        return find_levelled_features(self.grey, self.vertical.up, self.usable, self.threads)
+        return find_levelled_features(self.fine_grey, self.vertical.up, self.usable, self.threads)
 
 
 def scan_panorama(
@@ -117,7 +130,9 @@ def scan_panorama(
     """Look for features and lines in a panorama, RGB in [0, 1]."""
     grey = grey_of(image)
     small = cv2.resize(np.asarray(image, np.float32), (2 * SMALL_ROWS, SMALL_ROWS), interpolation=cv2.INTER_AREA)
-    return Scan(grey, small, usable, find_grey_features(grey, usable, threads), find_lines(grey, usable), threads)
+    return Scan(
+        fine_grey_of(image), small, usable, find_grey_features(grey, usable, threads), find_lines(grey, usable), threads
+    )
 
 
 def forget_tables() -> None:
@@ -136,12 +151,10 @@ def register_pair(first: Scan, second: Scan, *, is_thorough: bool = True) -> tup
 
     Where few matches agree, walls and floors are compared as well, if the search is thorough.
     """
-    verticals = None
-    if first.vertical.is_certain and second.vertical.is_certain:
-        verticals = first.vertical.up, second.vertical.up
+    verticals = Verticals(first.zenith, second.zenith, first.vertical.is_certain and second.vertical.is_certain)
     matches = match_features(first.features, second.features)
     estimate = estimate_relative_pose(matches, verticals=verticals)
-    is_enough = estimate is not None and estimate.inliers.sum() >= ENOUGH_INLIERS
+    is_enough = estimate is not None and estimate.inliers.sum() >= max(ENOUGH_INLIERS, ENOUGH_SHARE * len(matches))
     if is_enough or not is_thorough:
         kept = estimate if is_enough else None
         return _with_right_direction(first, second, kept, matches, verticals), matches
@@ -160,9 +173,12 @@ def _with_right_direction(
     """
     if estimate is None or estimate.have_same_position:
         return estimate
-    pose = estimate.first_from_second
-    rival, support = _best_rival(pose, matches.select(~estimate.inliers))  # far ones agree with both
+    pose, others = estimate.first_from_second, matches.select(~estimate.inliers)  # far ones agree with both
+    rival, support = _best_rival(pose, others)
     if support < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
+        return estimate
+    rival = refine_pose(rival, others, inlier_threshold(matches))
+    if log_false_alarms(rival, matches, verticals) > MAX_RIVAL_LOG_FALSE_ALARMS:
         return estimate
     agreement = [dense_agreement(first.view, second.view, each) for each in (pose, rival)]
     if agreement[1] < MIN_AGREEMENT_RATIO * agreement[0]:
