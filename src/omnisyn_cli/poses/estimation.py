@@ -442,10 +442,9 @@ def _estimate_note(edge: Edge, spread: PoseUncertainty) -> str:
     if spread.position is None:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     residual, rotation = np.degrees([edge.estimate.residual, spread.rotation])
-    return (
-        f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, position ± "
-        f"{100.0 * spread.position:.2g} % of the baseline"
-    )
+    percent = float(f"{100.0 * spread.position:.2g}")
+    position = f"position ± {percent:g} % of the baseline" if percent < 100.0 else "position hardly known"
+    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {position}"
 
 
 def _refinement_note(diagnosis: Diagnosis) -> str:
