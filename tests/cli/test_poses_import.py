@@ -27,8 +27,9 @@ def placed_panorama(path: Path) -> Path:
     """A panorama with EXIF GPS and a heading, in a folder that is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     spec = OpenImageIO.ImageSpec(32, 16, 3, "uint8")
-    for name, value in (("GPS:Latitude", (48.0, 8.0, 0.0)), ("GPS:Longitude", (11.0, 30.0, 0.0))):
+    for name, value, half in (("GPS:Latitude", (48.0, 8.0, 0.0), "N"), ("GPS:Longitude", (11.0, 30.0, 0.0), "E")):
         spec.attribute(name, "float[3]", value)
+        spec[f"{name}Ref"] = half
     spec["GPano:PoseHeadingDegrees"] = 0.0
     writer = OpenImageIO.ImageOutput.create(str(path))
     assert writer.open(str(path), spec)

@@ -163,8 +163,8 @@ def test_images_without_place_or_heading(tmp_path):
     write_images(tmp_path, ["a.jpg"])
     with pytest.raises(PoseError, match="expected images with EXIF GPS, got none in 1 images"):
         import_poses([tmp_path], "auto", ImportOptions())
-    triple = ("float[3]", (1.0, 2.0, 3.0))
-    write_images(tmp_path, ["a.jpg"], **{"GPS:Latitude": triple, "GPS:Longitude": triple})
+    place = {f"GPS:{name}": ("float[3]", (1.0, 2.0, 3.0)) for name in ("Latitude", "Longitude")}
+    write_images(tmp_path, ["a.jpg"], **place, **{"GPS:LatitudeRef": "N", "GPS:LongitudeRef": "E"})
     with pytest.raises(PoseError, match="expected a compass heading"):
         import_poses([tmp_path], "auto", ImportOptions())
 
