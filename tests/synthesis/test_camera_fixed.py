@@ -10,6 +10,7 @@ from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
+from omnisyn_cli.synthesis.still_outlines import find_still_region
 from omnisyn_cli.types import View
 
 SIZE = (256, 512)
@@ -104,6 +105,33 @@ def test_a_striped_line_where_another_one_was_is_left(pair: tuple[View, View]) -
     colour = np.where((np.floor((across + ahead) / 0.06) % 2 > 0)[..., None], (0.9, 0.8, 0.1), (0.05, 0.05, 0.05))
     views = [replace(view, image=np.where(tape[..., None], colour, view.image).astype(np.float32)) for view in pair]
     assert find_camera_fixed(*views) == (None, None)
+
+
+@pytest.fixture(scope="module", params=["street", "home"])
+def walk(request: pytest.FixtureRequest) -> list[View]:
+    scene = generate_scene(request.param, 5)
+    return [View(render_panorama(scene, pose, SIZE, supersample=2)[0], pose) for pose in sample_path(scene, 5, 5)]
+
+
+@pytest.mark.parametrize("kind", ["white", "logo", "tripod", "operator"])
+@pytest.mark.parametrize("count", [3, 5])
+def test_an_outline_that_stays_in_a_tour_is_found(walk: list[View], kind: str, count: int) -> None:
+    where, _ = shape(kind)
+    lights = (0.3, 1.0, 0.6, 0.8, 0.4)[:count]
+    views = [painted(view, kind) for view in walk[:count]]
+    views = [replace(view, image=view.image * light) for view, light in zip(views, lights, strict=True)]
+    still = find_still_region(views)
+    assert still is not None
+    found, _ = find_camera_fixed(*views[:2], still)
+    assert found is not None
+    assert (found & where).sum() > 0.9 * where.sum()
+    assert (found & ~where)[SIZE[0] // 2 :].mean() < 0.08
+
+
+def test_a_tour_without_it_loses_nothing_and_two_pictures_tell_nothing(walk: list[View]) -> None:
+    assert find_still_region(walk) is None
+    assert find_still_region(walk[::2]) is None
+    assert find_still_region([painted(view, "tripod") for view in walk[:2]]) is None
 
 
 def as_jpeg(view: View, where: np.ndarray, level: int) -> View:

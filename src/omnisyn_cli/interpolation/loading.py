@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from weakref import ref
 
 import numpy as np
@@ -59,7 +59,9 @@ class Loader(Sequence[View]):
         kept = plan.views_at_once
         self.panorama = lru_cache(maxsize=kept)(partial(_read_panorama, plan, read))
         self._companions = lru_cache(maxsize=kept)(partial(_read_companions, plan, self.panorama))
-        self._camera_fixed = lru_cache(maxsize=kept)(partial(_find_camera_fixed, plan, self.panorama, self._companions))
+        still = cache(partial(_still_region, plan, read))
+        find = partial(_find_camera_fixed, plan, self.panorama, self._companions, still)
+        self._camera_fixed = lru_cache(maxsize=kept)(find)
         self._neighbour = {view: pair for pair in reversed(plan.pairs) for view in pair}
         self.left_out: dict[int, float] = {}
 
@@ -111,16 +113,29 @@ def _find_camera_fixed(
     plan: TourPlan,
     panorama_of: Callable[[int], CachedPanorama],
     companions_of: Callable[[int], tuple[np.ndarray | None, DepthEstimate | None]],
+    still: Callable[[], np.ndarray | None],
     first: int,
     second: int,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """What moves with the camera in two neighbours."""
+    """What moves with the camera in two neighbours, ``still`` that in all panoramas."""
     views = [
         View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
     ]
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
-    return find_camera_fixed(views[0], views[1])
+    return find_camera_fixed(views[0], views[1], still())
+
+
+def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:
+    """What moves with the camera in all panoramas of a tour, in a map around the nadir; None of two, or where none."""
+    from omnisyn_cli.synthesis.still_outlines import PICTURE_SIZE, find_still_region, spread_out
+
+    small = replace(plan, source_sizes=(PICTURE_SIZE,) * len(plan.entries))
+    panorama_of = lru_cache(maxsize=1)(partial(_read_panorama, small, read))
+    return find_still_region(
+        View(panorama_of(index).image(), plan.entries[index].pose, _read_companions(small, panorama_of, index)[0])
+        for index in spread_out(len(plan.entries))
+    )
 
 
 def _known_depth(plan: TourPlan, entry: PosedPanorama) -> DepthEstimate | None:

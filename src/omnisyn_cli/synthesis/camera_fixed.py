@@ -97,7 +97,7 @@ MARGIN_PIXELS = 2
 """What is left out around everything found: soft edges, shadows of contact."""
 
 
-def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | None]:
+def find_camera_fixed(first: View, second: View, still: Mask | None = None) -> tuple[Mask | None, Mask | None]:
     """Pixels of both views, each at its own size, that show what moves with the camera; None where nothing does.
 
     Where both stand at one place nothing can be said.
@@ -105,12 +105,17 @@ def find_camera_fixed(first: View, second: View) -> tuple[Mask | None, Mask | No
     Args:
         first: a panorama.
         second: one taken elsewhere with the same camera.
+        still: what was found in more than two pictures, see :func:`omnisyn_cli.synthesis.still_outlines`.
     """
     if at_same_position(first.pose, second.pose):
         return None, None
     turn = turn_along(first.pose.rotation.T @ (second.pose.position - first.pose.position))
     views, maps = (first, second), (NadirMap.of(first, turn), NadirMap.of(second, turn))
     painted = find_painted(views, maps)
+    if still is not None:
+        sizes = (view.image.shape[:2] for view in views)
+        whole = [paint | on_sphere(still, np.eye(3), size) for paint, size in zip(painted, sizes, strict=True)]
+        return whole[0], whole[1]
     on_map = [
         np.asarray(sample_nearest(mask.astype(np.float32), each.directions) > 0.5)
         for mask, each in zip(painted, maps, strict=True)
