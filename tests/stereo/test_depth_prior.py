@@ -157,6 +157,24 @@ def test_a_floor_of_equal_tiles_gets_its_height_from_what_is_expected(views: tup
     assert expecting > 0.9
 
 
+def test_a_prior_that_matches_contradict_is_not_used(views: tuple[View, View], monkeypatch: pytest.MonkeyPatch) -> None:
+    class KnowsAnotherRoom(KnowsTheRoom):
+        def __call__(self, first, second, towards):
+            inverse_depth, confidence = super().__call__(first, second, towards)
+            return inverse_depth * np.geomspace(0.02, 1.0, inverse_depth.shape[1], dtype=np.float32), confidence
+
+    monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
+    options = MatchingOptions(size=(256, 512))
+    right, wrong = (
+        MatchingDepthEstimator(options, prior=model()).features(*views) for model in (KnowsTheRoom, KnowsAnotherRoom)
+    )
+    without = MatchingDepthEstimator(options).features(*views)
+    assert all(each.expected is not None for each in right)
+    for each, plain in zip(wrong, without, strict=True):
+        assert each.expected is None
+        np.testing.assert_array_equal(each.matched, plain.matched)
+
+
 def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(
     views: tuple[View, View], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ from omnisyn_cli.geometry.sampling import filter_across_seam, rotated_directions
 from omnisyn_cli.geometry.sphere import UP, solid_angles
 from omnisyn_cli.geometry.sweep import forward_frame
 from omnisyn_cli.stereo.depth_prior import MIN_CONFIDENCE, MIN_SQRT_INV_DEPTH, DepthPrior
+from omnisyn_cli.stereo.disparity import DisparityMap, is_measurable
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
 from omnisyn_cli.types import View
@@ -84,6 +85,23 @@ def with_priors(pair: RectifiedPair, first: View, second: View, model: PriorMode
         return replace(pair, priors=_priors(pair, first, second, model))
     of_second, of_first = _priors(pair.reversed(), second, first, model)
     return replace(pair, priors=(of_first, of_second))
+
+
+def median_disagreement(pair: RectifiedPair, matches: tuple[DisparityMap, DisparityMap]) -> float:
+    """Of the logarithms of inverse depth that a prior expects and consistent matches say, but for a common factor.
+
+    Infinite without matches: nothing tells then what the prior is worth.
+    """
+    medians = []
+    for each, found in zip((pair, pair.reversed()), matches, strict=True):
+        if each.priors is None:
+            return math.inf
+        known = found.valid & is_measurable(each.grid, found.disparity)
+        difference = _log(each.grid.inverse_depth(found.disparity)) - _log(np.square(each.priors[0].sqrt_inv_depth))
+        if not known.any():
+            return math.inf
+        medians.append(np.median(np.abs(difference[known] - np.median(difference[known]))))
+    return float(np.mean(medians))
 
 
 def _priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -> tuple[DepthPrior, DepthPrior]:
