@@ -10,17 +10,17 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_730, "interpolation": 5_910, "evaluation": 4_850, "training": 4_450, "scenes": 4_400, "render": 4_010,
-    "cli": 3_850, "io": 3_800, "stereo": 3_650, "fusion": 3_400, "synthesis": 2_400, "batch": 1_950,
-    "networks": 1_850, "baselines": 1_150, "geometry": 1_050, "pipeline": 800, "compute": 700, "(top)": 450,
-    "runtime": 400,
+    "poses": 6_730, "interpolation": 5_920, "evaluation": 4_850, "training": 4_450, "scenes": 4_380, "render": 4_010,
+    "cli": 3_800, "io": 3_780, "stereo": 3_660, "fusion": 3_390, "synthesis": 2_500, "batch": 1_920,
+    "networks": 1_820, "baselines": 1_140, "geometry": 1_040, "pipeline": 780, "compute": 670, "(top)": 430,
+    "runtime": 380,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 55_800
+MOST_LINES = 55_650
 """The sum. When rooms shrink, lower their budgets and it."""
 
-MOST_TEST_LINES, MOST_WORDS = 36_350, 30_100
+MOST_TEST_LINES, MOST_WORDS = 36_300, 30_100
 """Lines of the tests, and words of README, CHANGELOG, ``docs/`` and the models' cards."""
 
 SLACK = 150

@@ -61,7 +61,6 @@ def test_where_nothing_can_be_kept_it_is_said_what_to_do(
         ("omnisyn_cli.evaluation.engine.plan_evaluation", ("eval", "scenes")),
         ("omnisyn_cli.evaluation.bench_settings.make_scenes", ("bench",)),
         ("omnisyn_cli.evaluation.bench_settings.plan_bench", ("bench", "scenes")),
-        ("omnisyn_cli.evaluation.depth_benchmark.run_depth_table", ("depth-table",)),
         ("omnisyn_cli.interpolation.run.run_interpolation", ("interpolate",)),
     ],
 )

@@ -203,10 +203,10 @@ def test_sources_are_those_that_methods_go_through(tmp_path):
 def test_errors_that_nobody_expected_are_reported_too(halls, monkeypatch, place):
     original = getattr(engine, place)
 
-    def break_one(scene: Pair | Scene, *rest: object) -> object:
+    def break_one(scene: Pair | Scene, *rest: object, **options: object) -> object:
         if Path(scene.first.image if isinstance(scene, Pair) else scene.frames[0].image).parent.name == "a":
             raise MemoryError("too large")
-        return original(scene, *rest) if place == "load_pair" else original(None)(scene)
+        return original(scene, *rest, **options) if place == "load_pair" else original(None)(scene)
 
     monkeypatch.setattr(engine, place, break_one if place == "load_pair" else lambda _: break_one)
     records = run(halls, "crossfade")

@@ -8,10 +8,9 @@ import pytest
 from stereo_samples import OPENINGS, SIZE, landscape, room
 
 from omnisyn_cli.errors import ImageError
-from omnisyn_cli.evaluation.depth_benchmark import make_pair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
 from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
-from omnisyn_cli.scenes import generate_scene
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.stereo import disparity as disparity_module
 from omnisyn_cli.stereo.disparity import DisparityMap, left_right_check
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
@@ -83,7 +82,9 @@ def test_the_sky_is_exactly_zero_and_the_ground_is_flat(estimator: MatchingDepth
 
 
 def test_a_plain_ceiling_is_no_sky_because_a_window_shows_some() -> None:
-    first, second = make_pair(generate_scene("room", 20_000_020), 20_000_020, (512, 1024), threads=1)
+    scene = generate_scene("room", 20_000_020)
+    path = sample_path(scene, 20_000_020, 2, baseline=1.0, vertical=0.0)
+    first, second = (View(render_panorama(scene, pose, (512, 1024), supersample=2)[0], pose) for pose in path)
     for features in MatchingDepthEstimator(threads=1).features(first, second):
         assert not features.sky.any()
         assert (features.filled[:64] > 0.1).mean() > 0.95, "the ceiling is two metres overhead"

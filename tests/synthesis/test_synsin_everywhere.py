@@ -1,4 +1,4 @@
-"""SynSin where users meet it, with untrained networks: ``interpolate``, plans, ``eval``, the depth table, batches."""
+"""SynSin where users meet it, with untrained networks: ``interpolate``, plans, ``eval``, batches."""
 
 import json
 from dataclasses import replace
@@ -13,14 +13,12 @@ from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.depth_benchmark import TABLE_SOURCES
 from omnisyn_cli.evaluation.methods import MethodAtWork, find_method
 from omnisyn_cli.geometry.pose import interpolate_pose
 from omnisyn_cli.interpolation.configs import video_config
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
-from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis.trajectory import Waypoint
@@ -136,11 +134,6 @@ def test_results_depend_on_the_networks_that_are_installed(name: str, monkeypatc
     changed = {key: replace(entry, sha256="0") for key, entry in known.items()}
     monkeypatch.setattr("omnisyn_cli.evaluation.methods.read_manifest", lambda: changed)
     assert find_method(name).ingredients() != before
-
-
-def test_the_depth_table_has_a_row_for_it() -> None:
-    estimator = make_estimator(TABLE_SOURCES["synsin"], device="cpu", threads=1)
-    assert estimator(hall_view(CHAIN[0]), hall_view(CHAIN[1]))[0].inverse_depth.shape == TINY_SIZE
 
 
 def test_a_line_of_a_batch_can_ask_for_it(tmp_path: Path) -> None:

@@ -95,9 +95,9 @@ class _FlowPair(_CrossFadePair):
         self._find_flow(waypoint.pose)
         (first, second), (forth, back), t = self._turned, self._flows, waypoint.t
         with self._clock("render"):
-            moved = _moved(first, np.float32(t) * back), _moved(second, np.float32(1 - t) * forth)
+            pictures = moved(first, np.float32(t) * back), moved(second, np.float32(1 - t) * forth)
         with self._clock("fuse"):
-            image = np.asarray((1 - t) * moved[0] + t * moved[1], np.float32)
+            image = np.asarray((1 - t) * pictures[0] + t * pictures[1], np.float32)
             return Frame(np.maximum(image, np.float32(0)), waypoint, None)
 
     def _find_flow(self, pose: Pose) -> None:
@@ -135,7 +135,7 @@ def _bytes(image: np.ndarray) -> np.ndarray:
     return np.asarray(np.rint(np.clip(image, 0, 1) * 255), np.uint8)
 
 
-def _moved(image: np.ndarray, flow: np.ndarray) -> Float32[np.ndarray, "height width 3"]:
+def moved(image: np.ndarray, flow: np.ndarray) -> Float32[np.ndarray, "height width 3"]:
     """The picture read (bicubic, to 1/32 of a pixel) at every pixel plus ``flow``, as far as it is continued."""
     height, width = image.shape[:2]
     border = height // 4

@@ -42,7 +42,6 @@ COMMANDS = {
     "export-onnx": ("omnisyn_cli.cli.export_onnx", "Export a trained network to ONNX."),
     "poses": ("omnisyn_cli.cli.poses", "Import, export, check, refine and estimate poses."),
     "eval": ("omnisyn_cli.cli.evaluate", "Compare methods on scenes with true frames and depth."),
-    "depth-table": ("omnisyn_cli.cli.depth_table", "Compare estimated with true depth, as in the paper."),
     "bench": ("omnisyn_cli.cli.bench", "Measure the cost and gain of settings on this machine."),
     "scenes": ("omnisyn_cli.cli.scenes", "Generate scenes with exact depth and poses."),
 }

@@ -44,7 +44,8 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @click.option(
     "--methods", metavar="usual|all|LIST", default="usual", show_default=True,
     help="Names separated by commas, see --list-methods. A name may have parameters: matching:cut=0.02. usual: "
-    "crossfade, matching, the presets from fast to balanced, and the true depth if known.",
+    "crossfade, matching, the presets from fast to balanced, and the true depth if known; between photographs what "
+    "interpolate does, and its parts.",
 )  # fmt: skip
 @click.option(
     "--list-methods", is_flag=True, is_eager=True, expose_value=False, callback=_list_methods,
@@ -56,13 +57,19 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 )  # fmt: skip
 @click.option(
     "--pairs", metavar="0:4,1:3|every:N|FILE",
-    help="Input frames by index in every scene. every:4 takes 0:4, 4:8 and so on. A text file has one pair per line: "
+    help="Input frames by index in every scene. every:4 takes 0:4, 4:8 and so on; around takes the neighbours of each "
+    "frame. A text file has one pair per line: "
     "scene, first, second.  [default: the first and the last]",
 )  # fmt: skip
 @click.option(
     "--tours", is_flag=True,
     help="Compare each method with itself in a tour, where depth is fused from both neighbours. Every second frame is "
     "an input unless --pairs names others.",
+)  # fmt: skip
+@click.option(
+    "--leave-out", is_flag=True,
+    help="DATASET_DIR has photographs of tours: each is left out once and compared with the frame made of its "
+    "neighbours. Poses come from poses.json, else they are estimated.",
 )  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of poses.json.")
@@ -81,6 +88,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     omnisyn eval scenes/ --methods matching,crossfade,oracle-depth --size 512x256
     omnisyn eval Town06/ --format carla --pairs every:5 --report report/
     omnisyn eval walks/ --tours --methods omnisyn-balanced
+    omnisyn eval photographs/ --leave-out --report report/
 
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, and those
     between are the truth. Depth is compared where the truth is known. The report also gives errors by kind of pixel
@@ -95,6 +103,8 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     with working_folder(report, "eval", is_quiet=quiet) as folder:
         command = shlex.join(["omnisyn", *sys.argv[1:]])
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, command=command, **options)
+        if job.leave_out and not quiet:
+            say("note: poses of tours without poses.json are estimated first: some 10 s a scene", err=True)
         plan = plan_evaluation(job)
         if not quiet:
             for note in (_about_results(report), *(leftover_notes(report, report / PICTURES_FOLDER) if report else ())):

@@ -6,17 +6,28 @@ in ``results.jsonl`` are not done again. What is broken or unavailable is tried 
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes, in_tours
+from omnisyn_cli.evaluation.datasets import (
+    AROUND_PAIRS,
+    NoScaleError,
+    Pair,
+    SceneSource,
+    choose_pairs,
+    find_scenes,
+    in_tours,
+    still_region_of,
+    tours_of_photographs,
+)
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.grouping import median_depth
 from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
 from omnisyn_cli.evaluation.methods import (
     BOUND,
+    PHOTOGRAPH_METHODS,
     ComparedMethod,
     MethodAtWork,
     MethodUnavailableError,
@@ -65,6 +76,7 @@ class EvaluationJob:
         allow_outside: accept depth and masks that ``poses.json`` names outside of its folder.
         tours: compare methods that look for depth with themselves in tours; every second frame is an input then,
             unless ``pairs`` says otherwise.
+        leave_out: photographs of tours: each is the truth between its neighbours, unless ``pairs`` names others.
         command: that asked for all this, as the report says.
     """
 
@@ -80,6 +92,7 @@ class EvaluationJob:
     threads: int | None = None
     allow_outside: bool = False
     tours: bool = False
+    leave_out: bool = False
     command: str = "from Python"
 
 
@@ -116,10 +129,15 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
     methods = also_in_tours(find_methods(job.methods)) if job.tours else find_methods(job.methods)
     has_tours = any(method.is_in_tour for method in methods)
-    choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else None))
+    choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else AROUND_PAIRS if job.leave_out else None))
+    if job.leave_out:
+        sources = tours_of_photographs(job.dataset, choose, job.threads, allow_outside=job.allow_outside)
+        choose = choose_pairs(None)
+    else:
+        sources = find_scenes(job.dataset, job.layout, allow_outside=job.allow_outside)
     pairs: list[Pair] = []
     findings: list[UnitRecord] = []
-    for source in find_scenes(job.dataset, job.layout, allow_outside=job.allow_outside):
+    for source in sources:
         try:
             found = in_tours(choose(source.read())) if has_tours else choose(source.read())
         except NoScaleError as error:
@@ -132,7 +150,9 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
                 findings.append(_finding(source, "skipped", TOO_FEW_PANORAMAS))
     if not pairs and not findings:
         raise InputError(f"{job.pairs}: expected pairs of the scenes in {job.dataset}, got none; check the names")
-    if job.methods == "usual" and not any(_has_depth(pair) for pair in pairs):
+    if job.methods == "usual" and job.leave_out:
+        methods = find_methods(",".join(PHOTOGRAPH_METHODS))
+    elif job.methods == "usual" and not any(_has_depth(pair) for pair in pairs):
         methods = [method for method in methods if method.name != BOUND]
     return EvaluationPlan(job, tuple(methods), tuple(pairs), tuple(findings))
 
@@ -215,8 +235,11 @@ class _UnitRunner:
 
     def __init__(self, job: EvaluationJob) -> None:
         self._job, self._fingerprints = job, Fingerprints()
+        self._still = cache(still_region_of)
         self._perceptual: Perceptual | None = None
-        self._options: dict[str, Any] = {"size": job.size, "pictures": job.pictures, "device": job.device}
+        self._options: dict[str, Any] = {
+            "size": job.size, "pictures": job.pictures, "device": job.device, "leave_out": job.leave_out,
+        }  # fmt: skip
         if job.lpips is not None:
             from omnisyn_cli.evaluation.metrics.lpips import Lpips
 
@@ -251,7 +274,8 @@ class _UnitRunner:
     def _loaded(self, pair: Pair) -> LoadedPair | str:
         """The pictures of a pair, or why there are none."""
         try:
-            return load_pair(pair, self._job.size, self._job.threads)
+            still = self._still(pair.first.image.parent) if self._job.leave_out else None
+            return load_pair(pair, self._job.size, self._job.threads, are_photographs=self._job.leave_out, still=still)
         except Exception as error:  # noqa: BLE001 - one broken pair must not end an evaluation of many
             return one_line(error)
 
@@ -265,8 +289,9 @@ class _UnitRunner:
         try:
             threads, device = self._job.threads, self._job.device
             at_work = MethodAtWork(
-                method, loaded.views, threads=threads, device=device, known=depths, around=loaded.around
-            )
+                method, loaded.views, threads=threads, device=device, known=depths, around=loaded.around,
+                still=loaded.still,
+            )  # fmt: skip
             made = measure(at_work, loaded, (blank.first, blank.second), self._perceptual, threads)
         except MethodUnavailableError as error:
             return replace(blank, status="unavailable", reason=one_line(error))
@@ -285,8 +310,8 @@ class _UnitRunner:
             for target, scores, shown, by_kind in zip(loaded.targets, made.scores, pictures, made.by_kind, strict=True)
         )
         return replace(
-            blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded), frames=frames, depths=depths,
-            temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
+            blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded, made), frames=frames,
+            depths=depths, temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
         )  # fmt: skip
 
 
@@ -296,6 +321,9 @@ def one_line(error: Exception) -> str:
     return text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}"
 
 
-def _median_depth_of(loaded: LoadedPair) -> float | None:
+def _median_depth_of(loaded: LoadedPair, made: Measurement) -> float | None:
+    """Of the first panorama; between photographs, whose true depth nobody knows, that which the method has found."""
     known = loaded.views[0].known_depth
+    if known is None and loaded.are_photographs and made.found is not None:
+        known = made.found[0]
     return None if known is None else median_depth(known.inverse_depth)

@@ -17,7 +17,7 @@ from omnisyn_cli.evaluation import metrics
 from omnisyn_cli.evaluation.metrics.image import SSIM_WINDOW
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
-from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame
 from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
 from omnisyn_cli.geometry.pose import Pose, at_same_position, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
@@ -108,15 +108,25 @@ def _scores(
     if not pair.truths:
         return tuple({"shards": share} for share in shards)
     scores = tuple(
-        {**frame_scores(image, truth.image, perceptual), "shards": share}
+        {**_truth_scores(image, truth, perceptual), "shards": share}
         for image, truth, share in zip(images, pair.truths, shards, strict=True)
     )
+    if pair.are_photographs:
+        return scores
     for score, change in zip(scores[1:], change_psnr(images, [truth.image for truth in pair.truths]), strict=True):
         score["change_psnr"] = change
     if all(view.known_depth is not None for view in pair.views):
         for score, image, truth in zip(scores, images, pair.truths, strict=True):
             score["flying"] = metrics.flying_share(image, truth.image, truth.waypoint.pose, pair.views)
     return scores
+
+
+def _truth_scores(
+    image: Float[np.ndarray, "height width 3"], truth: TrueFrame, perceptual: Perceptual | None
+) -> dict[str, float]:
+    if truth.usable is None:
+        return frame_scores(image, truth.image, perceptual)
+    return metrics.photograph_scores(image, truth.image, truth.usable)
 
 
 def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
@@ -130,8 +140,8 @@ def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
 def _by_kind(
     images: tuple[Float[np.ndarray, "height width 3"], ...], kinds: tuple[Kinds, ...], pair: LoadedPair
 ) -> tuple[dict[str, dict[str, float]], ...]:
-    if not pair.truths:
-        return ({},)
+    if not pair.truths or pair.are_photographs:
+        return ({},) * len(images)
     return tuple(
         metrics.kind_figures(image, truth.image, masks)
         for image, truth, masks in zip(images, pair.truths, kinds, strict=True)

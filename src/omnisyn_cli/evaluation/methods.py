@@ -117,6 +117,7 @@ class MethodAtWork:
         known: depth that other methods have found, which counts with the seconds that it took there.
         around: the panoramas before and after both, likewise, for a method that is in a tour. The seconds of their
             pairs are not counted here, as each is a pair of its own.
+        still: what moves with the camera in a whole tour, see :mod:`omnisyn_cli.synthesis.still_outlines`.
 
     Raises:
         MethodUnavailableError: true depth or a network is missing.
@@ -125,6 +126,7 @@ class MethodAtWork:
     def __init__(
         self, method: ComparedMethod, views: tuple[View, View], *, threads: int | None = None, device: str = "auto",
         known: PairDepths | None = None, around: tuple[View | None, View | None] = (None, None),
+        still: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         self._method, self._threads, self._known = method, threads, known or PairDepths()
         self._config = replace(method.config, device=device)
@@ -134,7 +136,7 @@ class MethodAtWork:
         before, after = around if method.is_in_tour else (None, None)
         self._index, chain = int(before is not None), [view for view in (before, *views, after) if view is not None]
         if method.leaves_out_camera_fixed:
-            chain[self._index : self._index + 2] = _without_camera_fixed(*views)
+            chain[self._index : self._index + 2] = _without_camera_fixed(*views, still)
         self._views = chain if sees_truth else [View(view.image, view.pose, view.mask) for view in chain]
         with _unavailable_without_network():
             self._estimator = make_estimator(self._config.depth, device=device, threads=threads)
@@ -162,9 +164,9 @@ class MethodAtWork:
         return found
 
 
-def _without_camera_fixed(first: View, second: View) -> list[View]:
+def _without_camera_fixed(first: View, second: View, still: np.ndarray | None) -> list[View]:
     """Both views, in which what moves with the camera is masked."""
-    fixed = find_camera_fixed(first, second)
+    fixed = find_camera_fixed(first, second, still)
     return [
         view if found is None else replace(view, mask=~found if view.mask is None else view.mask & ~found)
         for view, found in zip((first, second), fixed, strict=True)
@@ -319,7 +321,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {plain}, "
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {plain}, model=FILE.onnx, "
         f"{', '.join(('rows=1024', *WITHOUT_NETWORK))} (where a network refines matching) or {TOUR_PARAMETER} (where "
         f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
     )
@@ -334,6 +336,8 @@ def _config_changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
         return {"cut": None, "cut_metres": float(value)}
     if key == "renderer" and value in RENDERERS:
         return {"renderer": value}
+    if key == "model" and value.endswith(".onnx") and config.depth.strategy.role is not None:
+        return {"depth": replace(config.depth, model=value)}
     if config.depth.strategy.model_is_optional:
         if key == "rows" and int(value) >= MIN_ROWS:
             return {"depth": replace(config.depth, rows=int(value))}
@@ -364,6 +368,13 @@ BOUND = "oracle-depth"
 
 DEFAULT_METHODS = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
 """What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""
+
+
+PHOTOGRAPH_METHODS = (
+    "crossfade", "flow", "matching:nadir=auto", f"omnisyn-{DEFAULT_PRESET}:nadir=auto",
+    f"omnisyn-{DEFAULT_PRESET}:fallback=soft:nadir=auto",
+)  # fmt: skip
+"""What it stands for between photographs; the last one is what ``interpolate`` does."""
 
 
 def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:

@@ -89,7 +89,7 @@ class UnitRecord:
         status: see :data:`Status`.
         reason: one line; empty if done.
         baseline: metres from the first to the second panorama; NaN where the scene could not be read.
-        median_depth: metres, of the first panorama; None without true depth.
+        median_depth: metres, of the first panorama: true, or as found where the truth are photographs; else None.
         size: height and width of the frames that were compared, (0, 0) where there are none.
         frames: one for every true frame between, in walking order; one half way where there are none.
         depths: of the first and of the second panorama; empty for methods without depth.

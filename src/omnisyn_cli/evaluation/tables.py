@@ -78,6 +78,9 @@ FRAME_COLUMNS = {
     "ssim": Column("SSIM", 1, 4),
     "lrce": Column("LRCE", -1, 4),
     "lpips": Column("LPIPS", -1, 4),
+    "aligned_psnr": Column("WS-PSNR aligned, dB", 1),
+    "aligned_ssim": Column("WS-SSIM aligned", 1, 4),
+    "misplacement": Column("Misplacement, degrees", -1),
 }
 """By score of a frame; the second number is -1 where less is better, then come the digits."""
 
@@ -290,7 +293,7 @@ def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
         ("Baseline", "Between the panoramas", lambda unit, _: grouping.distance_band(unit.baseline)),
     ):
         yield _score_table(title, corner, records, group)
-    if known := [unit for unit in records if unit.median_depth is not None]:
+    if known := grouping.with_median_depth(records):
         title = "Baseline over median depth"
         yield _score_table(title, "Pairs", known, lambda unit, _: grouping.relative_baseline_bin(unit))
 

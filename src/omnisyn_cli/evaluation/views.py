@@ -3,12 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
+from omnisyn_cli.evaluation.metrics.photographs import comparable_pixels
 from omnisyn_cli.geometry.pose import Pose, distance_between, interpolate_pose
 from omnisyn_cli.io import read_mask, read_panorama
 from omnisyn_cli.io.images import check_mask_size
+from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
 from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
@@ -45,9 +47,11 @@ class TrueFrame(Target):
 
     Attributes:
         image: ``(height, width, 3)`` RGB in [0, 1], at the size of the comparison.
+        usable: pixels that may be compared, of a photograph; None of a rendering, of which all may.
     """
 
     image: Float[np.ndarray, "height width 3"]
+    usable: Bool[np.ndarray, "height width"] | None = None
 
 
 @dataclass(frozen=True)
@@ -59,12 +63,19 @@ class LoadedPair:
         truths: of the frames between.
         size: height and width at which frames are compared.
         around: the panorama before the first and the one after the second view, where the pair is part of a tour.
+        still: what moves with the camera in a whole tour, see :mod:`omnisyn_cli.synthesis.still_outlines`, or None.
     """
 
     views: tuple[View, View]
     truths: tuple[TrueFrame, ...]
     size: tuple[int, int]
     around: tuple[View | None, View | None] = (None, None)
+    still: Bool[np.ndarray, "rows cols"] | None = None
+
+    @property
+    def are_photographs(self) -> bool:
+        """Whether the true frames are photographs of a tour."""
+        return any(truth.usable is not None for truth in self.truths)
 
     @property
     def targets(self) -> tuple[Target, ...]:
@@ -87,25 +98,35 @@ def _share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
     return (d1 / (d1 + d2) if d1 + d2 > 0 else 0.5), min(d1, d2)
 
 
-def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | None = None) -> LoadedPair:
+def load_pair(
+    pair: Pair, size: tuple[int, int] | None = None, threads: int | None = None, *,
+    are_photographs: bool = False, still: Bool[np.ndarray, "rows cols"] | None = None,
+) -> LoadedPair:  # fmt: skip
     """Read all pictures, masks and depth of a pair; frames are compared at ``size`` or that of the first true frame.
 
-    Without true frames the size is that of the first panorama, at most :data:`MAX_HALF_WAY_ROWS`.
+    Without true frames the size is that of the first panorama, at most :data:`MAX_HALF_WAY_ROWS`; likewise where the
+    true frames are photographs, in which what moves with the camera is not compared.
 
     InputError: a file is missing or damaged, or a mask has another size than its panorama.
     """
+    views = (_view(pair.first), _view(pair.second))
+    rows = min(views[0].image.shape[0], MAX_HALF_WAY_ROWS)
+    if are_photographs:
+        size = size or (rows, 2 * rows)
     truths = []
     for frame in pair.between:
-        image = read_panorama(frame.image).image
+        true_view, usable = _view(frame), None
+        image = true_view.image
         size = size or (image.shape[0], image.shape[1])
+        if are_photographs:
+            fixed = find_camera_fixed(true_view, views[0], still)[0]
+            usable = comparable_pixels(size, true_view.mask, None if fixed is None else ~fixed)
         t, distance = _share_of_way(pair, frame.pose)
         if image.shape[:2] != size:
             image = np.clip(turned_panorama(image, IDENTITY_POSE, size, threads), 0, 1)
-        truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
-    views = (_view(pair.first), _view(pair.second))
-    rows = min(views[0].image.shape[0], MAX_HALF_WAY_ROWS)
+        truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image, usable))
     before, after = (None if frame is None else _view(frame) for frame in (pair.before, pair.after))
-    return LoadedPair(views, tuple(truths), size or (rows, 2 * rows), (before, after))
+    return LoadedPair(views, tuple(truths), size or (rows, 2 * rows), (before, after), still)
 
 
 def _view(frame: SceneFrame) -> View:

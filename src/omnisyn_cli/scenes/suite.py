@@ -16,7 +16,7 @@ from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.street import street
 
 STANDARD_KINDS = ("street", "room")
-"""Generators of the standard set and of the depth table; others may come, these stay what they are."""
+"""Generators of the standard set; others may come, these stay what they are."""
 
 SUITE_SEEDS = (9_000_001, 9_000_002)
 """Far beyond those that networks are trained with."""

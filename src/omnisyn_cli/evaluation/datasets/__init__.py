@@ -7,6 +7,7 @@ from pathlib import Path
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets.layouts import carla_scenes, habitat_scenes, own_scenes, zind_scenes
 from omnisyn_cli.evaluation.datasets.sources import (
+    AROUND_PAIRS,
     NoScaleError,
     Pair,
     Scene,
@@ -15,8 +16,10 @@ from omnisyn_cli.evaluation.datasets.sources import (
     choose_pairs,
     in_tours,
 )
+from omnisyn_cli.evaluation.datasets.tours import still_region_of, tours_of_photographs
 
 __all__ = [
+    "AROUND_PAIRS",
     "FORMATS",
     "NoScaleError",
     "Pair",
@@ -26,6 +29,8 @@ __all__ = [
     "choose_pairs",
     "find_scenes",
     "in_tours",
+    "still_region_of",
+    "tours_of_photographs",
 ]
 
 Finder = Callable[[Path], list[SceneSource]]

@@ -98,6 +98,9 @@ class Pair:
     after: SceneFrame | None = None
 
 
+AROUND_PAIRS = "around"
+"""Each frame is left out once, and its neighbours are the inputs."""
+
 PairChooser = Callable[[Scene], list[Pair]]
 """Takes a scene to its pairs; raises InputError where a frame that was asked for is not there."""
 
@@ -106,9 +109,10 @@ def choose_pairs(text: str | None) -> PairChooser:
     """What ``--pairs`` means: which frames of a scene are inputs; those between are the truth.
 
     By default the first and the last frame are the inputs. ``0:4,1:3`` names others by their index in every scene;
-    ``every:4`` takes frames 0 and 4, 4 and 8 and so on, which suits long drives. Otherwise the text is the name of a
-    file with one pair a line: scene, first and second frame, separated by white space; frames are names or indices,
-    ``#`` begins a comment. Scenes that such a file does not name are not evaluated.
+    ``every:4`` takes frames 0 and 4, 4 and 8 and so on, which suits long drives. ``around`` takes the neighbours of
+    each frame but the ends. Otherwise the text is the name of a file with one pair a line: scene, first and second
+    frame, separated by white space; frames are names or indices, ``#`` begins a comment. Scenes that such a file does
+    not name are not evaluated.
     InputError: neither a list of pairs nor a readable file of them.
     """
     if text is None:
@@ -116,6 +120,8 @@ def choose_pairs(text: str | None) -> PairChooser:
     if Path(text).is_file():
         return _from_file(Path(text))
     plain = "".join(text.split())
+    if plain == AROUND_PAIRS:
+        return lambda scene: [_pair(scene, at - 1, at + 1) for at in range(1, len(scene.frames) - 1)]
     if match := re.fullmatch(r"every:0*([1-9]\d*)", plain):
         step = int(match[1])
         return lambda scene: [_pair(scene, at, at + step) for at in range(0, len(scene.frames) - step, step)]

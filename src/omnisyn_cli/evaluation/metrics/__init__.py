@@ -5,6 +5,7 @@ from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pi
 from omnisyn_cli.evaluation.metrics.flying import flying_share
 from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, ssim, ws_psnr, ws_ssim
 from omnisyn_cli.evaluation.metrics.kinds import end_masks, kind_figures
+from omnisyn_cli.evaluation.metrics.photographs import photograph_scores
 from omnisyn_cli.evaluation.metrics.shards import PhotographEdges, shard_share
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "left_right_metrics",
     "lrce",
     "merged_reliability",
+    "photograph_scores",
     "psnr",
     "scored_pixels",
     "shard_share",

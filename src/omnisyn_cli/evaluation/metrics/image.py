@@ -57,7 +57,7 @@ def ssim(image: Picture, truth: Picture) -> float:
     similarity, 2004.
     """
     _check_window(image, truth)
-    return float(_similarity(image, truth).mean())
+    return float(similarity(image, truth).mean())
 
 
 def ws_ssim(image: Picture, truth: Picture) -> float:
@@ -69,7 +69,7 @@ def ws_ssim(image: Picture, truth: Picture) -> float:
     panoramic video, 2018; continued over the borders instead of cropped.
     """
     _check_window(image, truth)
-    return mean_over_sphere(_similarity(add_border(image, SSIM_WINDOW // 2), add_border(truth, SSIM_WINDOW // 2)))
+    return mean_over_sphere(similarity(add_border(image, SSIM_WINDOW // 2), add_border(truth, SSIM_WINDOW // 2)))
 
 
 def lrce(image: Picture, truth: Picture) -> float:
@@ -112,7 +112,7 @@ def decibels(mean_squared_error: float) -> float:
     return math.inf if mean_squared_error == 0 else 10.0 * math.log10(PEAK**2 / mean_squared_error)
 
 
-def _similarity(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "inner_height inner_width 3"]:
+def similarity(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "inner_height inner_width 3"]:
     """SSIM of every window that lies in the picture; 5 pixels less on each side."""
     x, y = image.astype(np.float64), truth.astype(np.float64)
     mean_x, mean_y = _blurred(x), _blurred(y)
