@@ -127,6 +127,8 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     """
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
+    if job.leave_out and (job.tours or job.layout != "auto"):
+        raise InputError("expected --leave-out alone, got --tours or --format with it; leave one of them out")
     methods = also_in_tours(find_methods(job.methods)) if job.tours else find_methods(job.methods)
     has_tours = any(method.is_in_tour for method in methods)
     choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else AROUND_PAIRS if job.leave_out else None))

@@ -46,8 +46,9 @@ TURNS_DEG, MIN_HITS = (0.0, 22.5, 45.0, 67.5), 13
 
 
 def spread_out(count: int) -> list[int]:
-    """Which of so many pictures are read: at most :data:`MAX_PICTURES`."""
-    return sorted(set(np.linspace(0, count - 1, min(count, MAX_PICTURES)).round().astype(int).tolist()))
+    """Which of so many pictures are read: at most :data:`MAX_PICTURES`, none of fewer than :data:`MIN_PICTURES`."""
+    wanted = min(count, MAX_PICTURES) if count >= MIN_PICTURES else 0
+    return [int(index) for index in np.linspace(0, count - 1, wanted).round()]
 
 
 def find_still_region(views: Iterable[View]) -> Mask | None:
