@@ -54,7 +54,7 @@ the mean; two with more lost 0.4.)"""
 
 MAX_MEDIAN_DISAGREEMENT = 0.5
 """Of the logarithm of inverse depth, between a prior and consistent matches: from there on the prior is not used. (Six
-pairs of real tours have 0.6 to 1.2 and lose up to 3.1 dB by it; of 25 generated pairs the most is 0.44.)"""
+pairs of real tours have 0.6 to 1.2 and lose up to 3.1 dB by the prior; of 25 generated ones the most is 0.44.)"""
 
 POORLY_MATCHED_SHARE = 0.45
 """Share of the sphere with consistent matches below which planes cannot make up for the rest, and the network is asked
