@@ -194,7 +194,7 @@ def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Pat
 
 
 def test_soft_surfaces_are_those_of_the_video(shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("omnisyn_cli.synthesis.soft_surface.MIN_PAIR_SCORE", 2.0)
+    monkeypatch.setattr("omnisyn_cli.synthesis.soft_surface.MAX_SOFT_SCORE", 2.0)
     soft = taken(tmp_path, shot.opened)
     assert soft.pair.is_soft
     names = [str(image) for image in soft.plan.job.images]

@@ -191,7 +191,7 @@ def test_soft_pairs_have_surfaces_of_their_own(
 ) -> None:
     """In a tour the other links share one surface for each panorama."""
     if is_soft:  # nothing is reliable
-        for name in ("MIN_PAIR_SCORE", "REPLACED_RELIABILITY", "KEPT_RELIABILITY"):
+        for name in ("MAX_SOFT_SCORE", "REPLACED_RELIABILITY", "KEPT_RELIABILITY"):
             monkeypatch.setattr(f"omnisyn_cli.synthesis.soft_surface.{name}", 2.0 + (name == "KEPT_RELIABILITY"))
     manifest = manifest_of(made(tmp_path, write_hall(tmp_path, CHAIN), is_chain=is_chain).read_text())
     assert [link["isSoft"] for link in manifest["links"]] == 2 * [is_soft]
