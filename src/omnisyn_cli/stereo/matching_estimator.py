@@ -113,7 +113,8 @@ class MatchingDepthEstimator:
                     expecting = with_priors(pair, first, second, self.prior)
                     if median_disagreement(expecting, surfaces) < MAX_MEDIAN_DISAGREEMENT:
                         pair = expecting
-                    surfaces = _match_surfaces(pair, options)
+                    if pair is expecting or _measured_share(pair, surfaces) < POORLY_MATCHED_SHARE:
+                        surfaces = _match_surfaces(pair, options)
             reverse = pair.reversed()
             return both(
                 lambda: _features_in_camera_frame(first, second, pair, surfaces[0]),

@@ -24,6 +24,7 @@ from omnisyn_cli.synthesis.nadir_map import (
     WINDOW,
     Mask,
     NadirMap,
+    disc,
     ground_pixels,
     look_up,
     map_degrees,
@@ -136,11 +137,7 @@ def find_camera_fixed(first: View, second: View, still: Mask | None = None) -> t
 
 
 def _dilated(mask: Mask, reach: int) -> Mask:
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), _disc(reach)) > 0)
-
-
-def _disc(reach: int) -> np.ndarray:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc(reach)) > 0)
 
 
 def _uniform_patch(image: np.ndarray) -> Mask:
@@ -241,8 +238,8 @@ def _without_holes(mask: Mask) -> Mask:
 
 def _objects(seeds: Mask, unique: Mask, region: Mask) -> Mask:
     """The connected parts of a region that begin near the nadir and have enough seeds, most of which repeat nowhere."""
-    opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
-    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, _disc(CLOSING_PIXELS)) > 0
+    opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, disc(CLOSING_PIXELS)) > 0
     label, radius = connected_regions(closed, is_diagonal=True), np.hypot(*map_degrees())
     kept = np.zeros(seeds.shape, bool)
     for number in np.unique(label[seeds & closed]):

@@ -77,6 +77,11 @@ def map_degrees() -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
+def disc(reach: int) -> np.ndarray:
+    """A structuring element of so many pixels around its middle."""
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
+
+
 def turn_along(way: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """The turn of maps in which a camera moves up, so that they do not depend on where its panorama has its seam.
 

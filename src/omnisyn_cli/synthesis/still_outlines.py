@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from omnisyn_cli.geometry.regions import connected_regions
-from omnisyn_cli.synthesis.nadir_map import DEG_PER_PIXEL, MAP_SIZE, Mask, NadirMap, map_degrees
+from omnisyn_cli.synthesis.nadir_map import DEG_PER_PIXEL, MAP_SIZE, Mask, NadirMap, disc, map_degrees
 from omnisyn_cli.types import View
 
 MIN_PICTURES, MAX_PICTURES = 3, 12
@@ -109,5 +109,4 @@ def _surrounded(outlines: Mask) -> Bool[np.ndarray, "rows cols"]:
 
 
 def _morphed(mask: Mask, operation: int, reach: int) -> Mask:
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, disc) > 0)
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, disc(reach)) > 0)
