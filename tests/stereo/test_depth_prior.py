@@ -1,6 +1,7 @@
 """What a network expects: what it is shown, what disparities then cost, and what becomes of floors and of gaps."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo import matching_estimator
 from omnisyn_cli.stereo.depth_prior import DepthPrior
-from omnisyn_cli.stereo.expected_depth import fill_as_expected, with_priors
+from omnisyn_cli.stereo.expected_depth import fill_as_expected, with_guided_priors
 from omnisyn_cli.stereo.expected_planes import expected_planes
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.plane_sweep import sweep_directions
@@ -83,7 +84,7 @@ def true_disparity(pair, position: np.ndarray) -> np.ndarray:
 
 def test_the_network_sees_upright_panoramas_with_the_other_camera_ahead(views: tuple[View, View]) -> None:
     model = KnowsTheRoom()
-    with_priors(rectify(*views, SIZE), *views, model)
+    with_guided_priors(rectify(*views, SIZE), *views, model=model)
     lengths = [float(np.linalg.norm(towards)) for _, towards in model.asked]
     assert lengths == pytest.approx([1.0, 2.25, 1.0, 2.25])
     for image, towards in model.asked:
@@ -94,7 +95,7 @@ def test_the_network_sees_upright_panoramas_with_the_other_camera_ahead(views: t
 
 
 def test_priors_are_in_the_frames_of_the_pair_and_of_its_reverse(views: tuple[View, View]) -> None:
-    pair = with_priors(rectify(*views, SIZE), *views, KnowsTheRoom())
+    pair = with_guided_priors(rectify(*views, SIZE), *views, model=KnowsTheRoom())
     for each, position in zip(
         (pair, pair.reversed(), pair.resized((128, 256))), (*POSITIONS, POSITIONS[0]), strict=True
     ):
@@ -105,7 +106,7 @@ def test_priors_are_in_the_frames_of_the_pair_and_of_its_reverse(views: tuple[Vi
 
 def test_a_prior_that_is_not_sure_costs_nothing_and_one_that_guesses_tolerates_more(views: tuple[View, View]) -> None:
     pair = rectify(*views, SIZE)
-    unsure = with_priors(pair, *views, KnowsTheRoom(confidence=0.1))
+    unsure = with_guided_priors(pair, *views, model=KnowsTheRoom(confidence=0.1))
     assert not unsure.prior.cost(np.zeros(SIZE, np.float32)).any()
 
     class Guesses(KnowsTheRoom):
@@ -113,7 +114,7 @@ def test_a_prior_that_is_not_sure_costs_nothing_and_one_that_guesses_tolerates_m
             inverse_depth, confidence = super().__call__(first, second, towards)
             return inverse_depth * np.float32(np.linalg.norm(towards) ** -0.9), confidence
 
-    sure, guessed = (with_priors(pair, *views, model()).prior for model in (KnowsTheRoom, Guesses))
+    sure, guessed = (with_guided_priors(pair, *views, model=model()).prior for model in (KnowsTheRoom, Guesses))
     assert np.median(guessed.upper - guessed.lower) > 1.5 * np.median(sure.upper - sure.lower)
 
 
@@ -152,7 +153,9 @@ def test_a_floor_of_equal_tiles_gets_its_height_from_what_is_expected(views: tup
 
     assert baseline > 4.0
     without = share_right(MatchingDepthEstimator(options)(*views))
-    expecting = share_right(MatchingDepthEstimator(options, prior=KnowsTheRoom(factor=1.1))(*views))
+    expecting = share_right(
+        MatchingDepthEstimator(options, prior=partial(with_guided_priors, model=KnowsTheRoom(factor=1.1)))(*views)
+    )
     assert without < 0.5
     assert expecting > 0.9
 
@@ -166,7 +169,8 @@ def test_a_prior_that_matches_contradict_is_not_used(views: tuple[View, View], m
     monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
     options = MatchingOptions(size=(256, 512))
     right, wrong = (
-        MatchingDepthEstimator(options, prior=model()).features(*views) for model in (KnowsTheRoom, KnowsAnotherRoom)
+        MatchingDepthEstimator(options, prior=partial(with_guided_priors, model=model())).features(*views)
+        for model in (KnowsTheRoom, KnowsAnotherRoom)
     )
     without = MatchingDepthEstimator(options).features(*views)
     assert all(each.expected is not None for each in right)
@@ -186,7 +190,11 @@ def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(
         monkeypatch.setattr(
             matching_estimator, "label_surfaces", lambda *args, to=labelled: to.append(args[0]) or label(*args)
         )
-        found.append(MatchingDepthEstimator(MatchingOptions(size=(128, 256)), prior=KnowsTheRoom()).features(*views))
+        found.append(
+            MatchingDepthEstimator(
+                MatchingOptions(size=(128, 256)), prior=partial(with_guided_priors, model=KnowsTheRoom())
+            ).features(*views)
+        )
         counts.append(len(labelled))
     assert counts == [4, 2]
     for late, early in zip(*found, strict=True):
@@ -196,7 +204,7 @@ def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(
 def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]) -> None:
     pair, none_swept = rectify(*views, SIZE), np.zeros((0, 3))
     assert len(expected_planes(pair, sweep_directions(pair), none_swept)) == 0
-    pair = with_priors(pair, *views, KnowsTheRoom(factor=1.08))
+    pair = with_guided_priors(pair, *views, model=KnowsTheRoom(factor=1.08))
     planes = expected_planes(pair, sweep_directions(pair), none_swept)
     for axis in range(3):
         for corner in ROOM:
@@ -208,7 +216,7 @@ def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]
 
 
 def test_expected_floors_near_swept_ones_are_left_out_and_walls_are_not(views: tuple[View, View]) -> None:
-    pair = with_priors(rectify(*views, SIZE), *views, KnowsTheRoom())
+    pair = with_guided_priors(rectify(*views, SIZE), *views, model=KnowsTheRoom())
     directions, (x, y, z) = sweep_directions(pair), np.eye(3) @ pair.world_from_frame
     planes = expected_planes(pair, directions, np.zeros((0, 3)))
 
@@ -226,7 +234,9 @@ def test_expected_floors_near_swept_ones_are_left_out_and_walls_are_not(views: t
 
 def test_gaps_are_filled_with_what_is_expected_corrected_by_the_matches_around(views: tuple[View, View]) -> None:
     options = MatchingOptions(size=SIZE)
-    features, _ = MatchingDepthEstimator(options, prior=KnowsTheRoom(factor=1.25)).features(*views)
+    features, _ = MatchingDepthEstimator(
+        options, prior=partial(with_guided_priors, model=KnowsTheRoom(factor=1.25))
+    ).features(*views)
     reach, _ = distance_to_wall(POSITIONS[0], pixel_directions(*features.matched.shape) @ views[0].pose.rotation.T)
     true = np.linalg.norm(POSITIONS[1] - POSITIONS[0]) / reach
     valid = np.zeros(true.shape, bool)

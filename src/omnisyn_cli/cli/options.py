@@ -100,6 +100,15 @@ depth_options = all_of(
     click.option(
         "--model", metavar="NAME|PATH", help="Network for the depth, see `omnisyn models`.  [default: the preset's]"
     ),
+    click.option(
+        "--depth-prior", metavar="FILE|none",
+        help="Your own depth network (ONNX), asked where matching leaves much open (docs/depth-prior.md).  [default: "
+        "the preset's]",
+    ),
+    click.option(
+        "--depth-prior-kind", metavar="WORDS", default="",
+        help="What its file does not say, such as perspective,inverse-depth.",
+    ),
 )  # fmt: skip
 """Where depth comes from."""
 

@@ -13,7 +13,9 @@ shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its
 neighbours); those whose depth a network refines take ``rows`` (that it is looked for at), ``model=none`` (all else as
 it is, without that network) and ``prior=none`` (without the one that says what to expect): ``matching:cut=0.02``,
 ``oracle-depth:metres=2:depth=512x256``, ``omnisyn-balanced:model=none:prior=none:fusion=geometric``, which is
-``balanced`` with nothing learned in it.
+``balanced`` with nothing learned in it. ``prior=FILE.onnx`` takes a monocular network of yours instead, and
+``prior-kind`` what its file does not say (words joined by ``+``); ``prior=simulated(0.1)`` the true depth with an error
+of 10 %, to see what such a network would be worth.
 """
 
 import time
@@ -28,6 +30,8 @@ import numpy as np
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.grouping import TOUR_PARAMETER
+from omnisyn_cli.evaluation.simulated_prior import NAME as SIMULATED_PRIOR
+from omnisyn_cli.evaluation.simulated_prior import SimulatedModel
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
@@ -40,6 +44,9 @@ from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.runtime.monocular_session import NetworkKind
+from omnisyn_cli.stereo.monocular_prior import with_monocular_priors
+from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
@@ -139,7 +146,7 @@ class MethodAtWork:
             chain[self._index : self._index + 2] = _without_camera_fixed(*views, still)
         self._views = chain if sees_truth else [View(view.image, view.pose, view.mask) for view in chain]
         with _unavailable_without_network():
-            self._estimator = make_estimator(self._config.depth, device=device, threads=threads)
+            self._estimator = _estimator(self._config.depth, views, device, threads)
 
     def __call__(self, size: tuple[int, int], clock: Stopwatch) -> Pair:
         """The pair ready for frames of a size; seconds by stage go to the stopwatch."""
@@ -162,6 +169,18 @@ class MethodAtWork:
         is_own = at_same_position(first.pose, own.pose)
         clock.seconds["depth"] += max(0.0, seconds - taken) if is_own else -taken
         return found
+
+
+def _estimator(source: DepthSource, views: Sequence[View], device: str, threads: int | None) -> DepthEstimator:
+    """The estimator of a source, whose prior may be made from the true depth of the views."""
+    error = SIMULATED_PRIOR.fullmatch(source.prior or "")
+    if error is None:
+        return make_estimator(source, device=device, threads=threads)
+    estimator = make_estimator(replace(source, prior=None), device=device, threads=threads)
+    if not isinstance(estimator, RefinedDepthEstimator):
+        raise MethodUnavailableError(f"expected refined depth with a simulated prior, got {source.kind!r}")
+    prior = partial(with_monocular_priors, model=SimulatedModel(views, float(error[1])))
+    return replace(estimator, matching=replace(estimator.matching, prior=prior))
 
 
 def _without_camera_fixed(first: View, second: View, still: np.ndarray | None) -> list[View]:
@@ -322,8 +341,9 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
     raise InputError(
         f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {plain}, model=FILE.onnx, "
-        f"{', '.join(('rows=1024', *WITHOUT_NETWORK))} (where a network refines matching) or {TOUR_PARAMETER} (where "
-        f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
+        f"{', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx, prior-kind=perspective+depth, "
+        f"prior=simulated(0.1) (where a network refines matching) or {TOUR_PARAMETER} (where depth is estimated) after "
+        f"the colon, got {parameter!r} in {name!r}"
     )
 
 
@@ -341,6 +361,11 @@ def _config_changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
     if config.depth.strategy.model_is_optional:
         if key == "rows" and int(value) >= MIN_ROWS:
             return {"depth": replace(config.depth, rows=int(value))}
+        if key == "prior" and (value.endswith(".onnx") or SIMULATED_PRIOR.fullmatch(value)):
+            return {"depth": replace(config.depth, prior=value)}
+        if key == "prior-kind":
+            NetworkKind.from_words(value.replace("+", ","))
+            return {"depth": replace(config.depth, prior_kind=value.replace("+", ","))}
         if parameter in WITHOUT_NETWORK:
             return {"depth": replace(config.depth, **WITHOUT_NETWORK[parameter])}
     return SETTINGS.get(parameter, {})

@@ -10,6 +10,7 @@ from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
 from omnisyn_cli.pipeline.methods import METHODS
 from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.runtime.session import check_device_of_networks
 
 MIN_FRAMES_TO_SIMPLIFY = 32
@@ -34,7 +35,9 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     has_default_cut = job.cut is None and job.cut_metres is None
     is_as_published = job.fallback == "soft" and job.preset in REPRODUCTIONS  # which know nothing of soft surfaces
     return RunConfig(
-        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults), _prior(kind, defaults)),
+        DepthSource(
+            kind, defaults.depth.rows, _model(job, kind, defaults), _prior(job, kind, defaults), job.depth_prior_kind
+        ),
         cut=defaults.cut if has_default_cut else job.cut,
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
         fallback="none" if is_as_published else job.fallback, device=job.device,
@@ -103,9 +106,18 @@ def _model(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
     return model
 
 
-def _prior(kind: str, defaults: RunConfig) -> str | None:
-    """The network that says what depth to expect, where the preset has one."""
-    return defaults.depth.prior if kind == defaults.depth.kind else None
+def _prior(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
+    """The network that says what depth to expect: what the job says, else the preset's."""
+    if job.depth_prior is None:
+        if job.depth_prior_kind:
+            raise InputError("expected --depth-prior with --depth-prior-kind, got none; name the network's file")
+        return defaults.depth.prior if kind == defaults.depth.kind else None
+    if not DEPTH_SOURCES[kind].model_is_optional:
+        raise InputError(f"expected --depth-prior with refined depth only, got depth {kind!r}; leave one of them out")
+    NetworkKind.from_words(job.depth_prior_kind)
+    if job.depth_prior != "none" and not job.depth_prior.endswith(".onnx"):
+        raise InputError(f"expected an .onnx file or none as --depth-prior, got {job.depth_prior!r}; name the file")
+    return None if job.depth_prior == "none" else job.depth_prior
 
 
 def _fusion(job: InterpolationJob, kind: str, defaults: RunConfig) -> str:

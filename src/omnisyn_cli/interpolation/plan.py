@@ -159,6 +159,7 @@ class TourPlan:
             "preset": self.job.preset if is_own else "",
             "depth": config.depth.kind,
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
+            "depth_prior": (config.depth.prior or "none") if self.job.depth_prior is not None else "",
             "joined_depths": self.fused_depths,
             **(after or {}),
             "memory_mib": round(memory / 2**20),

@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from omnisyn_cli.pipeline.choices import chosen
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from omnisyn_cli.stereo.expected_depth import PairPrior
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
     from omnisyn_cli.types import DepthEstimator
 
@@ -45,13 +45,16 @@ class DepthSource:
         model: name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves
             the network out, to compare with.
         prior: likewise of the network that says what depth to expect where the baseline is wide, for ``refined``; None
-            leaves it out.
+            leaves it out. A file may be a monocular network of the user's, see
+            :mod:`omnisyn_cli.runtime.monocular_session`.
+        prior_kind: what the user says of that, in words.
     """
 
     kind: str = "file"
     rows: int = 512
     model: str | None = None
     prior: str | None = None
+    prior_kind: str = ""
 
     @property
     def strategy(self) -> DepthStrategy:
@@ -161,12 +164,26 @@ def _make_matching(source: DepthSource, network: Callable[..., Any], threads: in
 
 
 def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
-    from omnisyn_cli.runtime.image_networks import CompletionSession, GuidedDepthSession
+    from omnisyn_cli.runtime.image_networks import CompletionSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
-    prior = None if source.prior is None else GuidedDepthSession(partial(network, source.prior, keeps_memory=False))
     refinement = None if source.model is None else CompletionSession(network(source.model))
+    prior = None if source.prior is None else _prior(source, partial(network, source.prior, keeps_memory=False))
     return RefinedDepthEstimator(replace(_matching(source, threads), prior=prior), refinement, source.rows)
+
+
+def _prior(source: DepthSource, open_session: Callable[[], Any]) -> PairPrior:
+    """The bundled network, which is opened when a pair needs it; or one of the user's, which is looked at now."""
+    from omnisyn_cli.runtime.image_networks import GuidedDepthSession
+    from omnisyn_cli.runtime.monocular_session import MonocularSession, NetworkKind
+    from omnisyn_cli.stereo.expected_depth import with_guided_priors
+    from omnisyn_cli.stereo.monocular_answer import MonocularModel
+    from omnisyn_cli.stereo.monocular_prior import with_monocular_priors
+
+    if not str(source.prior).endswith(".onnx"):
+        return partial(with_guided_priors, model=GuidedDepthSession(open_session))
+    network = MonocularSession(open_session(), Path(str(source.prior)), NetworkKind.from_words(source.prior_kind))
+    return partial(with_monocular_priors, model=MonocularModel(network))
 
 
 def _make_network(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:

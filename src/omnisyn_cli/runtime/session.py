@@ -89,27 +89,27 @@ def run_depth_network(
 
 
 def run_network(
-    session: Any, inputs: Mapping[str, np.ndarray], shapes: Sequence[tuple[int, ...]]
+    session: Any, inputs: Mapping[str, np.ndarray], shapes: Sequence[tuple[int, ...]] | None = None
 ) -> list[Float32[np.ndarray, "..."]]:
-    """All outputs of a model, finite, of these shapes.
+    """All outputs of a model, finite.
 
     Args:
         session: of the model.
         inputs: by name.
-        shapes: of its outputs, in their order.
+        shapes: that its outputs must have, in their order; None for any.
 
     Raises InputError: the model does not take these inputs, or answers something else.
     """
     try:
         answers = session.run(None, dict(inputs))
     except Exception as error:
-        height, width = shapes[0][-2:]
+        height, width = (shapes[0] if shapes else next(iter(inputs.values())).shape)[-2:]
         raise InputError(
             f"expected a model that works on {width}×{height} pixels, ONNX Runtime says: {_short(error)}; "
             "name another (--model)"
         ) from error
     found = [np.shape(answer) for answer in answers]
-    if found != list(shapes):
+    if shapes is not None and found != list(shapes):
         raise InputError(f"expected a model with outputs of {list(shapes)}, got {found}; name another (--model)")
     arrays = [np.asarray(answer, np.float32) for answer in answers]
     if not all(np.isfinite(array).all() for array in arrays):

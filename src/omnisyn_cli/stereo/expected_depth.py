@@ -9,6 +9,7 @@ Where parallax decides, both answers agree. Where they differ it has guessed, an
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Protocol
@@ -76,8 +77,17 @@ class PriorModel(Protocol):
         ...
 
 
-def with_priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -> RectifiedPair:
-    """The pair with what the network expects of both panoramas; it sees one after the other.
+Matches = tuple[DisparityMap, DisparityMap]
+"""What was matched in both directions of a pair."""
+
+PairPrior = Callable[[RectifiedPair, View, View, Matches], RectifiedPair]
+"""Returns a pair with what is expected of both panoramas, given their views and matches: :func:`with_guided_priors`."""
+
+
+def with_guided_priors(
+    pair: RectifiedPair, first: View, second: View, matches: Matches | None = None, *, model: PriorModel
+) -> RectifiedPair:
+    """The pair with what the network expects of both panoramas; it sees one after the other, and no matches.
 
     It is asked in one order of the two, whichever is the first one: exchanged panoramas get the same answers.
     """
@@ -87,7 +97,7 @@ def with_priors(pair: RectifiedPair, first: View, second: View, model: PriorMode
     return replace(pair, priors=(of_first, of_second))
 
 
-def median_disagreement(pair: RectifiedPair, matches: tuple[DisparityMap, DisparityMap]) -> float:
+def median_disagreement(pair: RectifiedPair, matches: Matches) -> float:
     """Of the logarithms of inverse depth that a prior expects and consistent matches say, but for a common factor.
 
     Infinite without matches: nothing tells then what the prior is worth.
@@ -97,7 +107,8 @@ def median_disagreement(pair: RectifiedPair, matches: tuple[DisparityMap, Dispar
         if each.priors is None:
             return math.inf
         known = found.valid & is_measurable(each.grid, found.disparity)
-        difference = _log(each.grid.inverse_depth(found.disparity)) - _log(np.square(each.priors[0].sqrt_inv_depth))
+        expected = log_inverse_depth(np.square(each.priors[0].sqrt_inv_depth))
+        difference = log_inverse_depth(each.grid.inverse_depth(found.disparity)) - expected
         if not known.any():
             return math.inf
         medians.append(np.median(np.abs(difference[known] - np.median(difference[known]))))
@@ -116,15 +127,16 @@ def _priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -
     of_second = _prior(own, other, HALF_TURN_ABOUT_Y @ -towards, model)
     frame, size = pair.world_from_frame, pair.size
     return (
-        _in_frame(frame, size, upright, of_first),
-        _in_frame(frame @ HALF_TURN_ABOUT_Z, size, upright @ HALF_TURN_ABOUT_Y, of_second),
+        in_frame(frame, size, upright, of_first),
+        in_frame(frame @ HALF_TURN_ABOUT_Z, size, upright @ HALF_TURN_ABOUT_Y, of_second),
     )
 
 
-def _in_frame(
+def in_frame(
     world_from_frame: Float[np.ndarray, "3 3"], size: tuple[int, int], world_from_prior: Float[np.ndarray, "3 3"],
     prior: DepthPrior,
 ) -> DepthPrior:  # fmt: skip
+    """A prior in a frame of another orientation and ``size``, given the orientation that it has."""
     directions = rotated_directions(size, world_from_prior, world_from_frame)
     return prior.remapped(RemapTable.for_directions(directions, NETWORK_SIZE))
 
@@ -160,11 +172,11 @@ def fill_as_expected(features: StereoFeatures, completed: InvDepthWithConfidence
     if features.expected is None:
         return completed
     inverse_depth, confidence = completed
-    measured = _log(inverse_depth)
-    expected = _log(np.square(features.expected.sqrt_inv_depth))
-    expected = expected + _correction(measured - expected, features.valid)
+    measured = log_inverse_depth(inverse_depth)
+    expected = log_inverse_depth(np.square(features.expected.sqrt_inv_depth))
+    expected = expected + smooth_from_known(measured - expected, features.valid)
     best, least = expected, np.full(expected.shape, MAX_LOG_DIFFERENCE)
-    for proposal in (_log(features.filled), _log(features.matched)):
+    for proposal in (log_inverse_depth(features.filled), log_inverse_depth(features.matched)):
         difference = np.abs(proposal - expected)
         best, least = np.where(difference < least, proposal, best), np.minimum(difference, least)
     is_confirmed = np.abs(measured - expected) < MAX_LOG_DIFFERENCE
@@ -174,14 +186,18 @@ def fill_as_expected(features: StereoFeatures, completed: InvDepthWithConfidence
     return filled, np.where(features.valid, confidence, its_confidence)
 
 
-def _log(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+def log_inverse_depth(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """Its logarithm; all that is very far counts as equally far."""
     return np.asarray(np.log(np.maximum(inverse_depth, MIN_INVERSE_DEPTH)))
 
 
-def _correction(
+def smooth_from_known(
     difference: Float[np.ndarray, "height width"], valid: Bool[np.ndarray, "height width"]
 ) -> Float32[np.ndarray, "height width"]:
-    """What to add, from the differences at valid pixels: normalised convolutions, each completed by the coarser one."""
+    """A smooth map from the differences at valid pixels: normalised convolutions, each completed by the coarser one.
+
+    Differences beyond :data:`MAX_LOG_CORRECTION` do not count.
+    """
     height = len(difference)
     is_used = valid & (np.abs(difference) < MAX_LOG_CORRECTION)
     areas = solid_angles(*difference.shape)

@@ -24,7 +24,7 @@ from omnisyn_cli.stereo.disparity import (
     match_all_disparities,
 )
 from omnisyn_cli.stereo.epipolar_grid import MAX_INVERSE_DEPTH
-from omnisyn_cli.stereo.expected_depth import PriorModel, median_disagreement, with_priors
+from omnisyn_cli.stereo.expected_depth import PairPrior, median_disagreement
 from omnisyn_cli.stereo.expected_planes import expected_planes
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
@@ -75,12 +75,12 @@ class MatchingDepthEstimator:
     Attributes:
         options: of matching.
         threads: at most this many; None = a core each. The result does not depend on it.
-        prior: network that says what to expect where much is left open; None leaves it out.
+        prior: asks a network what to expect where much is left open; None leaves it out.
     """
 
     options: MatchingOptions = field(default_factory=MatchingOptions)
     threads: int | None = None
-    prior: PriorModel | None = None
+    prior: PairPrior | None = None
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -110,7 +110,7 @@ class MatchingDepthEstimator:
             else:
                 surfaces = _match_surfaces(pair, options, least_share=POORLY_MATCHED_SHARE)
                 if _measured_share(pair, surfaces) < WELL_MATCHED_SHARE:
-                    expecting = with_priors(pair, first, second, self.prior)
+                    expecting = self.prior(pair, first, second, surfaces)
                     if median_disagreement(expecting, surfaces) < MAX_MEDIAN_DISAGREEMENT:
                         pair = expecting
                     if pair is expecting or _measured_share(pair, surfaces) < POORLY_MATCHED_SHARE:
@@ -239,7 +239,7 @@ def _features_in_camera_frame(
     """From disparity in the frame of the pair to inverse depth in the frame of the camera, with sky and filling."""
     size, pose, grid = pair.size, view.pose, pair.grid
     image, usable = resize_area(view.image, size), usable_pixels(view, size)
-    in_pair = pair.remap_to_camera(pose, size)
+    in_pair = pair.remap_to(pose.rotation, size)
     inverse_depth = in_pair.nearest(grid.inverse_depth(disparities.disparity))
     consistent = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
     consistent = remove_speckles(inverse_depth, consistent & usable)

@@ -102,9 +102,9 @@ class RectifiedPair:
         first, second = (DepthPrior(*(resize_area(each, size) for each in prior.maps)) for prior in self.priors)
         return first, second
 
-    def remap_to_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
-        """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""
-        return RemapTable.for_directions(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)
+    def remap_to(self, rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> RemapTable:
+        """For each pixel of an image of a ``size`` in a world-from-camera ``rotation``: where this frame shows it."""
+        return RemapTable.for_directions(rotated_directions(size, self.world_from_frame, rotation), self.size)
 
 
 def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:

@@ -192,7 +192,7 @@ def _replace_remeasured(
     Single pixels are noise more often than things, so a median filter follows.
     """
     size, grid, (coarse_depth, coarse_confidence) = pair.size, pair.grid, coarse
-    in_pair = pair.remap_to_camera(view.pose, size)
+    in_pair = pair.remap_to(view.pose.rotation, size)
     exact = in_pair.nearest(grid.inverse_depth(disparities.disparity).astype(np.float32))
     valid = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
     valid = remove_speckles(exact, valid & usable_pixels(view, size))

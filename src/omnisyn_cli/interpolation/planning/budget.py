@@ -70,6 +70,7 @@ def _check_measured(plan: InterpolationPlan) -> None:
         "renderer": (plan.config.renderer, ("mesh",)),
         "depth": (job.depth, ("auto", "file", "refined")),
         "model": (job.model, (None,)),
+        "depth_prior": (job.depth_prior, (None,)),
         "fusion": (job.fusion, ("auto",)),
     }
     for name, (given, measured) in asked.items():

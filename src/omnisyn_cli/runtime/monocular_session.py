@@ -1,0 +1,184 @@
+"""Monocular depth networks that users bring: what their files say, what they are asked, and answers that are kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.runtime.models import sha256_of
+from omnisyn_cli.runtime.session import run_network
+
+READING_WORDS = ("depth", "inverse-depth", "log-depth", "points")
+"""What the numbers of a network may be; points are their distance from the camera."""
+
+KIND_WORDS = ("panorama", "perspective", *READING_WORDS, "imagenet")
+"""What users may say of a network that its file does not."""
+
+PANORAMA_SIZE, PERSPECTIVE_SIZE = (448, 896), (448, 448)
+"""Height and width of pictures where a network takes any: networks divide them by 14, 16 or 32."""
+
+IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of the channels of pictures, for networks that were not exported with it."""
+
+MIN_RELATIVE_SPREAD = 1e-4
+"""Of the numbers of an answer: a network with less says the same of every pixel."""
+
+MAX_KEPT_ANSWERS = 500
+"""Files in the folder of answers; the oldest go first. One has 0.5 to 1.6 MB."""
+
+
+@dataclass(frozen=True)
+class NetworkKind:
+    """What a network is asked and what its numbers are; None is found out.
+
+    Attributes:
+        is_panoramic: whether it sees panoramas; else perspective pictures.
+        reading: one of :data:`READING_WORDS`.
+        is_normalized: whether its pictures have the mean and deviation of ImageNet.
+    """
+
+    is_panoramic: bool | None = None
+    reading: str | None = None
+    is_normalized: bool = False
+
+    @staticmethod
+    def from_words(text: str) -> NetworkKind:
+        """Of words of :data:`KIND_WORDS`, separated by commas. InputError: another one, or two that exclude another."""
+        words = [word.strip() for word in text.split(",") if word.strip()]
+        readings = [word for word in words if word in READING_WORDS]
+        if not set(words) <= set(KIND_WORDS) or len(readings) > 1 or {"panorama", "perspective"} <= set(words):
+            raise InputError(
+                f"expected panorama or perspective, one of {', '.join(READING_WORDS)}, and imagenet, separated by "
+                f"commas, got {text!r}; leave out what the file says itself"
+            )
+        shape = "panorama" in words if {"panorama", "perspective"} & set(words) else None
+        return NetworkKind(shape, readings[0] if readings else None, "imagenet" in words)
+
+
+class MonocularSession:
+    """One picture in, numbers of depth out; a :class:`omnisyn_cli.stereo.monocular_answer.PictureNetwork`.
+
+    Args:
+        session: of the network.
+        path: of its file, by whose contents answers are kept.
+        kind: what users say of it.
+
+    Raises InputError: it takes something else than one picture, or it takes any size and ``kind`` does not say which.
+    """
+
+    def __init__(self, session: Any, path: Path, kind: NetworkKind) -> None:
+        entries = session.get_inputs()
+        shape = list(entries[0].shape)
+        if len(entries) != 1 or len(shape) != 4 or 3 not in (shape[1], shape[3]) or "float" not in entries[0].type:
+            found = ", ".join(f"{entry.name} {list(entry.shape)} of {entry.type}" for entry in entries)
+            raise InputError(
+                f"{path}: expected a depth network with one picture of 3 channels in floats as input, got {found}; "
+                "export it with a single input"
+            )
+        self._session, self._path, self._kind = session, path, kind
+        self._name, self._dtype = entries[0].name, np.float16 if "16" in entries[0].type else np.float32
+        self._has_channels_first = shape[1] == 3
+        sides = shape[2:] if self._has_channels_first else shape[1:3]
+        self.size, self.is_panoramic = self._shape_of_pictures(sides)
+        self._digest = sha256_of(path)
+
+    def _shape_of_pictures(self, sides: list[Any]) -> tuple[tuple[int, int], bool]:
+        is_panoramic = self._kind.is_panoramic
+        if all(isinstance(side, int) and side > 0 for side in sides):
+            return (sides[0], sides[1]), sides[1] == 2 * sides[0] if is_panoramic is None else is_panoramic
+        if is_panoramic is None:
+            raise InputError(
+                f"{self._path}: expected a network of one size, got one of any size; say what it sees "
+                "(--depth-prior-kind panorama or perspective)"
+            )
+        return PANORAMA_SIZE if is_panoramic else PERSPECTIVE_SIZE, is_panoramic
+
+    def __call__(
+        self, picture: Float32[np.ndarray, "3 height width"]
+    ) -> tuple[Float32[np.ndarray, "rows cols"], tuple[str, ...], bool]:
+        """Its numbers, the readings that they may have, and whether they are distances along rays.
+
+        InputError: it answers no map that is as wide to high as the picture, or one that says nothing.
+        """
+        digest = hashlib.sha256(f"{self._digest} {self._kind}".encode() + picture.tobytes()).hexdigest()
+        file = answers_folder() / f"{digest}.npy"
+        answer = _kept(file)
+        if answer is None:
+            answer = self._asked(picture)
+            _keep(file, answer)
+        numbers, is_points = answer[..., 0], answer.shape[-1] == 3
+        if is_points:
+            return np.linalg.norm(answer, axis=-1), ("depth",), True
+        return numbers, READING_WORDS[:3] if self._kind.reading is None else (self._kind.reading,), False
+
+    def _asked(self, picture: np.ndarray) -> Float32[np.ndarray, "rows cols channels"]:
+        """A map, or three with the coordinates of points."""
+        if self._kind.is_normalized:
+            mean, deviation = (np.reshape(each, (3, 1, 1)) for each in (IMAGENET_MEAN, IMAGENET_DEVIATION))
+            picture = (picture - mean) / deviation
+        batch = (picture if self._has_channels_first else np.moveaxis(picture, 0, -1))[None].astype(self._dtype)
+        height, width = self.size
+        wants_points = self._kind.reading == "points"
+        for answer in run_network(self._session, {self._name: np.ascontiguousarray(batch)}):
+            found = _as_map(answer, wants_points, width / height)
+            if found is not None:
+                middle = np.abs(np.median(found))
+                if not np.ptp(found) > MIN_RELATIVE_SPREAD * middle:
+                    raise InputError(
+                        f"{self._path}: expected depth that varies, got {middle:.3g} everywhere; name another"
+                    )
+                return found
+        shapes = ", ".join(str(list(entry.shape)) for entry in self._session.get_outputs())
+        what = "points" if wants_points else "depth"
+        raise InputError(
+            f"{self._path}: expected a map of {what} that is as wide to high as its {width}x{height} picture, got "
+            f"{shapes}; name another"
+        )
+
+
+def _as_map(answer: np.ndarray, is_points: bool, ratio: float) -> np.ndarray | None:
+    """An output as ``(rows, cols, channels)``; None where it is something else."""
+    found = np.squeeze(answer)
+    if found.ndim == 3 and 3 in (found.shape[0], found.shape[2]) and is_points:
+        found = found if found.shape[2] == 3 else np.moveaxis(found, 0, -1)
+    elif found.ndim == 2 and not is_points:
+        found = found[..., None]
+    else:
+        return None
+    return found if abs(found.shape[1] / found.shape[0] / ratio - 1.0) < 0.02 else None
+
+
+def answers_folder() -> Path:
+    """Where answers are kept: ``omnisyn/answers`` in the user's folder for caches."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnisyn" / "answers"
+
+
+def _kept(file: Path) -> np.ndarray | None:
+    with suppress(OSError, ValueError, EOFError):
+        return np.asarray(np.load(file, allow_pickle=False), np.float32)
+    return None
+
+
+def _keep(file: Path, answer: np.ndarray) -> None:
+    """Write an answer, whole or not at all, and remove the oldest; a full or read-only disk keeps none."""
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        partial_file = file.with_suffix(f".{secrets.token_hex(4)}.part")
+        try:
+            with partial_file.open("wb") as stream:
+                np.save(stream, answer)
+            partial_file.replace(file)
+        finally:
+            partial_file.unlink(missing_ok=True)
+        files = sorted(file.parent.iterdir(), key=lambda each: each.stat().st_mtime)
+        for old in files[:-MAX_KEPT_ANSWERS]:
+            old.unlink(missing_ok=True)
