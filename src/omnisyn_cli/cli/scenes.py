@@ -46,19 +46,15 @@ SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
     "--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of the first scene; the next ones count up."
 )
 @click.option(
-    "--count",
-    type=WholeRange(1),
-    default=1,
-    show_default=True,
+    "--count", type=WholeRange(1), default=1, show_default=True,
     help="Number of scenes; above 1 each gets a folder in OUT.",
-)
+)  # fmt: skip
 @click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
 @click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
 @click.option(
-    "--baseline",
-    type=FiniteRange(0, min_open=True),
+    "--baseline", type=FiniteRange(0, min_open=True),
     help="Metres from the first panorama to the last.  [default: random]",
-)
+)  # fmt: skip
 @click.option("--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Camera tilt in degrees.")
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
 @click.option(
@@ -137,7 +133,7 @@ def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwr
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
     from omnisyn_cli.evaluation.scene_files import suite_files, write_suite_scene
     from omnisyn_cli.io.outputs import make_folder, staged_folder
-    from omnisyn_cli.scenes.suite import suite_scenes
+    from omnisyn_cli.scenes.paths import suite_scenes
 
     walks = list(suite_scenes())
     for walk in walks:

@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
-from omnisyn_cli.scenes.suite import FRAMES_PER_WALK, SuiteScene
+from omnisyn_cli.scenes.paths import FRAMES_PER_WALK, SuiteScene
 
 PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 """Of the panoramas of every scene of the standard set."""
