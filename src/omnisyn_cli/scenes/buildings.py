@@ -7,8 +7,7 @@ import numpy as np
 from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.materials import Material, Pattern, random_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
 DARK_GLASS = Material(Pattern.PLAIN, (0.12, 0.14, 0.16), grain=0.1, gloss=1.0)
 """Of windows without a room behind them. Set by hand."""

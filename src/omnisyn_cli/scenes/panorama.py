@@ -8,9 +8,8 @@ from jaxtyping import Float, Int
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes.mesh.raycast import Caster, Hits
 from omnisyn_cli.scenes.mesh.render import render
-from omnisyn_cli.scenes.scene import Scene
+from omnisyn_cli.scenes.scene import Scene, triangles
 from omnisyn_cli.scenes.shader import Surfaces, find_holes, find_surfaces, shade_rays
-from omnisyn_cli.scenes.solids import triangles
 
 SUN_POINTS = ((-0.5, -0.5), (0.5, -0.2), (-0.2, 0.5), (0.4, 0.4))
 """Points on the disc of the sun, in half angles: the samples of a pixel see them in turn."""

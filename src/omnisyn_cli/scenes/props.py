@@ -8,8 +8,7 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern, random_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Shape
 
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)

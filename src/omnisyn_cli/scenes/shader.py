@@ -8,7 +8,7 @@ import numpy as np
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
 from omnisyn_cli.scenes.photos import PhotoMapping
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import Shape
 from omnisyn_cli.scenes.textures import FacePoint, is_hole, pattern_at
 
 PATCHES_PER_PHOTO = 0.6
@@ -24,7 +24,7 @@ SHADOW_RAY_OFFSET = 1e-3
 class Surfaces(NamedTuple):
     """What kernels know of the triangles of a scene: its shapes and materials, and the shape of each face.
 
-    For the axis of each face see :data:`omnisyn_cli.scenes.solids.UNIT_SHAPES`.
+    For the axis of each face see :data:`omnisyn_cli.scenes.scene.UNIT_SHAPES`.
     """
 
     shapes: np.ndarray

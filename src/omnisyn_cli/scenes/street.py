@@ -14,8 +14,7 @@ from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.buildings import house, office, town_house
 from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, Scene, SceneBuilder, Walkway, daylight
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import LocalFrame, Scene, SceneBuilder, Shape, Walkway, daylight
 
 STREET_HALF_LENGTH = 85.0
 """Half the length of the street, metres."""

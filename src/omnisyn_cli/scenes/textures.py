@@ -19,7 +19,7 @@ class FacePoint(NamedTuple):
 
     ``u``, ``v``: place on the face: across, 0 in the middle, and up, 0 at the bottom; ``half_u``, ``half_v`` its half
     sizes. ``x``, ``y``, ``z``: place in the shape's own frame. For ``variation`` see
-    :data:`omnisyn_cli.scenes.solids.PACKED_SHAPE`.
+    :data:`omnisyn_cli.scenes.scene.PACKED_SHAPE`.
     """
 
     u: float

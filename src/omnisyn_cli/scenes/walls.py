@@ -9,8 +9,7 @@ from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder, Shape
 
 
 def wall_finish(rng: np.random.Generator, use: str) -> Material:
