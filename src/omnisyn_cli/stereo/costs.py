@@ -40,11 +40,9 @@ INVALID_COST = np.float32(MAX_COST)
 
 
 class ColourCost(NamedTuple):
-    """How colours count beside the census.
+    """How colours count beside the census: their weight against it, in [0, 1].
 
-    Attributes:
-        weight: of colour differences against the census, in [0, 1].
-        scale: 1 / the sum of differences over three channels that costs 1.
+    ``scale``: 1 / the sum of differences over three channels that costs 1.
     """
 
     weight: np.float32

@@ -31,12 +31,10 @@ MIN_CONFIDENCE, FULL_COST_CONFIDENCE = 0.2, 0.4
 
 
 class DepthPrior(NamedTuple):
-    """The depth that is expected of one panorama, in the frame of a camera or of a pair.
+    """The depth that is expected of one panorama, in the frame of a camera or of a pair; all ``(height, width)``.
 
-    Attributes:
-        sqrt_inv_depth: ``(height, width)`` √(inverse depth × baseline).
-        tolerance: ``(height, width)`` what differs by less from it costs nothing.
-        confidence: ``(height, width)`` probability that depth is within 10 %.
+    √(inverse depth × baseline), what differs by less from it and costs nothing, and the probability that depth is
+    within 10 %.
     """
 
     sqrt_inv_depth: Float32[np.ndarray, "height width"]
@@ -61,12 +59,9 @@ class DepthPrior(NamedTuple):
 
 
 class DisparityPrior(NamedTuple):
-    """What disparities cost beside what is matched.
+    """What disparities cost beside what is matched; all ``(height, width)``.
 
-    Attributes:
-        lower, upper: ``(height, width)`` rows between which nothing costs.
-        below, above: ``(height, width)`` cost of each row outside.
-        limit: ``(height, width)`` the most that it costs.
+    Between rows ``lower`` and ``upper`` nothing, outside ``below`` or ``above`` for each row, and at most ``limit``.
     """
 
     lower: Float32[np.ndarray, "height width"]

@@ -56,12 +56,8 @@ MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
 class PlanePoints(NamedTuple):
     """Points that one camera of a rectified pair sees, in the frame in which it is the first one.
 
-    Attributes:
-        directions: unit vectors.
-        inverse_depth: 1/baselines.
-        tolerance: distance of an inlier in 1/baselines.
-        solid_angle: weight of each point.
-        row, col: its pixel, for windows of neighbours.
+    Directions are unit vectors; inverse depth, and the distance of an inlier (``tolerance``), are in 1/baselines; the
+    solid angle weighs a point; ``row`` and ``col`` are its pixel, for windows of neighbours.
     """
 
     directions: Float[np.ndarray, "points 3"]
@@ -75,11 +71,8 @@ class PlanePoints(NamedTuple):
 class PlaneEquations(NamedTuple):
     """One linear equation ``normal · ray = inverse_depth`` for each point of both cameras, in the first one's frame.
 
-    Attributes:
-        rays: directions; for points of the second camera ``direction + inverse_depth · camera``.
-        inverse_depth: from the camera that sees the point.
-        tolerance: as in :class:`PlanePoints`.
-        is_second: which camera sees the point.
+    Rays are directions; for points of the second camera ``direction + inverse_depth · camera``. Inverse depth is from
+    the camera that sees the point. For ``tolerance`` see :class:`PlanePoints`.
     """
 
     rays: Float[np.ndarray, "points 3"]

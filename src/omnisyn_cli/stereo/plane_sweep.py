@@ -257,11 +257,8 @@ def _is_on_flank(normal: np.ndarray, plane: np.ndarray) -> bool:
 class AxisSweep:
     """How well each pixel fits planes across an axis: those behind the camera where it looks back, else those before.
 
-    Attributes:
-        directions: the images that were swept.
-        axis: unit vector in the frame of the pair.
-        distances: of the planes from the first camera, in baselines.
-        scores: ``(2, distances, pixels)``: 255 times ``1 − cost / GOOD_COST``, at least 0.
+    The axis is a unit vector in the frame of the pair, distances are those of the planes from the first camera, in
+    baselines. ``scores`` ``(2, distances, pixels)`` are 255 times ``1 − cost / GOOD_COST``, at least 0.
     """
 
     directions: Directions
@@ -320,14 +317,10 @@ def _scores(direction: SweepDirection, normals: Float[np.ndarray, "planes 3"]) -
 
 
 class HalfSweep(NamedTuple):
-    """The planes of a sweep on one side of the cameras.
+    """The planes of a sweep on one side of the cameras: 0 where pixels look against the axis, 1 along it.
 
-    Attributes:
-        sweep: they are part of.
-        side: 0 where pixels look against the axis, 1 along it.
-        mask: the pixels of both images that do.
-        support: what each plane explains of what is not explained yet.
-        is_candidate: distances that may still be found.
+    ``mask`` are the pixels of both images that do, ``support`` is what each plane explains of what is not explained
+    yet, and ``is_candidate`` are distances that may still be found.
     """
 
     sweep: AxisSweep

@@ -79,12 +79,9 @@ class PathInputs(NamedTuple):
     """What all paths read.
 
     Attributes:
-        cost: matching costs of all pixels, flat, fixed-point.
-        lowest: first disparity of each pixel.
-        offsets: index of each pixel's first cost.
+        cost, lowest, offsets: matching costs, flat, fixed-point; see :class:`DisparityRange`.
         luminance: weakens P2 at edges.
-        p1: penalty for a change of disparity by one, fixed-point.
-        p2: penalty for any other change, fixed-point.
+        p1, p2: penalties for a change of disparity by one and for any other change, fixed-point.
         inverse_contrast: 1 / the grey difference that halves P2.
         longest_range: disparities of the longest range.
     """

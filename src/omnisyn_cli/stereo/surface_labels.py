@@ -57,11 +57,9 @@ LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 
 
 class CandidatePlanes(NamedTuple):
-    """Planes that pixels may lie on, best supported first.
+    """Planes that pixels may lie on, best supported first: normals as long as the inverse distance (1/baselines).
 
-    Attributes:
-        normals: in the frame of the pair, as long as the inverse distance (1/baselines).
-        is_measured: swept or expected ones, which were measured in the images; the others are fitted to matches.
+    ``is_measured``: swept or expected ones, which were measured in the images; the others are fitted to matches.
     """
 
     normals: Float[np.ndarray, "planes 3"]
