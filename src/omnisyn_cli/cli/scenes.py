@@ -83,10 +83,9 @@ def make(
     --threads, --overwrite and --quiet apply.
     """
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.evaluation.scene_files import depth_name, write_scene
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_scene
     from omnisyn_cli.io import read_photographs
     from omnisyn_cli.io.outputs import make_folder, staged_folder
-    from omnisyn_cli.poses.file import POSES_NAME
     from omnisyn_cli.scenes import generate_scene, pack_photos, sample_path
 
     context.with_resource(say_when_compiling(is_quiet=quiet))
@@ -95,7 +94,7 @@ def make(
         _make_suite(out, size, threads, overwrite=overwrite, quiet=quiet)
         return
     names = names or tuple(f"{frame:04d}.png" for frame in range(frames))
-    files = [*names, POSES_NAME] if no_depth else [*names, *map(depth_name, names), POSES_NAME]
+    files = files_of_scene(names, with_depth=not no_depth)
     _check_names(names, files, frames)
     folders = [out] if count == 1 else [out / f"{kind}_{number:04d}" for number in range(1, count + 1)]
     for folder in folders:
@@ -131,13 +130,13 @@ def _check_suite_options(context: click.Context) -> None:
 
 def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
-    from omnisyn_cli.evaluation.scene_files import suite_files, write_suite_scene
+    from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, files_of_scene, write_suite_scene
     from omnisyn_cli.io.outputs import make_folder, staged_folder
     from omnisyn_cli.scenes.paths import suite_scenes
 
     walks = list(suite_scenes())
     for walk in walks:
-        _check_folder(out / walk.name, suite_files(), overwrite)
+        _check_folder(out / walk.name, files_of_scene(PANORAMA_NAMES), overwrite)
     make_folder(out, "scenes")
     for walk in walks:
         if walk.path:

@@ -126,12 +126,11 @@ def _write_folder(
     folder: Path, scene: "MeshScene", line: dict[str, "Pose"], size: tuple[int, int], supersample: int,
     no_depth: bool, overwrite: bool,
 ) -> None:  # fmt: skip
-    from omnisyn_cli.evaluation.scene_files import depth_name, write_renderings
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
     from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
-    from omnisyn_cli.poses.file import POSES_NAME
     from omnisyn_cli.scenes.mesh import render_mesh
 
-    files = [*line, POSES_NAME] if no_depth else [*line, *map(depth_name, line), POSES_NAME]
+    files = files_of_scene(line, with_depth=not no_depth)
     for file in files if folder.is_dir() else []:
         check_output(folder / file, overwrite)
     make_folder(folder.parent, "scenes")
