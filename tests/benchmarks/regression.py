@@ -14,7 +14,7 @@ from pathlib import Path
 from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.engine import EvaluationJob, plan_evaluation, run_evaluation
 from omnisyn_cli.evaluation.scene_files import write_suite_scene
-from omnisyn_cli.scenes.suite import suite_scenes
+from omnisyn_cli.scenes.paths import suite_scenes
 
 TABLE = Path(__file__).with_name("regression.json")
 

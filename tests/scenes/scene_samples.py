@@ -6,8 +6,7 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material
-from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
 
 DAY = Lighting(sun_direction=(0.0, 1.0, 0.0), sun=(1.0, 1.0, 1.0), sky=(0.3, 0.3, 0.3), bounce=(0.2, 0.2, 0.2))
 

@@ -8,8 +8,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import GENERATORS, generate_scene, sample_path
 from omnisyn_cli.scenes.materials import Material
 from omnisyn_cli.scenes.panorama import trace_rays
-from omnisyn_cli.scenes.scene import Walkway
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import Shape, Walkway
 
 KINDS = sorted(GENERATORS)
 

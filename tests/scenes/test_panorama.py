@@ -5,8 +5,7 @@ from scene_samples import DAY, builder, random_shapes
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.scenes import generate_scene, render_panorama, render_views, sample_path
 from omnisyn_cli.scenes.materials import Material, Pattern
-from omnisyn_cli.scenes.scene import SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 
 SIZE = (40, 80)
 

@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import generate_scene, render_panorama, render_views, sample_path
 from omnisyn_cli.scenes.panorama import trace_rays
-from omnisyn_cli.scenes.solids import SEGMENTS, Shape, triangles
+from omnisyn_cli.scenes.scene import SEGMENTS, Shape, triangles
 
 SIZE = (32, 64)
 ORIGIN = np.zeros(3)

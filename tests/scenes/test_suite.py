@@ -15,7 +15,7 @@ from omnisyn_cli.evaluation.scene_files import write_suite_scene
 from omnisyn_cli.io import read_depth
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes import generate_scene
-from omnisyn_cli.scenes.suite import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, longest_path, suite_scenes
+from omnisyn_cli.scenes.paths import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, longest_path, suite_scenes
 
 POSES_SHA256 = "c13f327442a7aa68c9116086252862149caf00cf1960164983f519322565bc01"
 

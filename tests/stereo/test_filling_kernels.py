@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
+from omnisyn_cli.stereo.filling import fitted_values, normal_equations
 
 FALLBACK_WEIGHT, TILT_RIDGE = 1e-3, 0.05
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

@@ -46,19 +46,15 @@ SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
     "--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of the first scene; the next ones count up."
 )
 @click.option(
-    "--count",
-    type=WholeRange(1),
-    default=1,
-    show_default=True,
+    "--count", type=WholeRange(1), default=1, show_default=True,
     help="Number of scenes; above 1 each gets a folder in OUT.",
-)
+)  # fmt: skip
 @click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
 @click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
 @click.option(
-    "--baseline",
-    type=FiniteRange(0, min_open=True),
+    "--baseline", type=FiniteRange(0, min_open=True),
     help="Metres from the first panorama to the last.  [default: random]",
-)
+)  # fmt: skip
 @click.option("--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Camera tilt in degrees.")
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
 @click.option(
@@ -87,10 +83,9 @@ def make(
     --threads, --overwrite and --quiet apply.
     """
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.evaluation.scene_files import depth_name, write_scene
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_scene
     from omnisyn_cli.io import read_photographs
     from omnisyn_cli.io.outputs import make_folder, staged_folder
-    from omnisyn_cli.poses.file import POSES_NAME
     from omnisyn_cli.scenes import generate_scene, pack_photos, sample_path
 
     context.with_resource(say_when_compiling(is_quiet=quiet))
@@ -99,7 +94,7 @@ def make(
         _make_suite(out, size, threads, overwrite=overwrite, quiet=quiet)
         return
     names = names or tuple(f"{frame:04d}.png" for frame in range(frames))
-    files = [*names, POSES_NAME] if no_depth else [*names, *map(depth_name, names), POSES_NAME]
+    files = files_of_scene(names, with_depth=not no_depth)
     _check_names(names, files, frames)
     folders = [out] if count == 1 else [out / f"{kind}_{number:04d}" for number in range(1, count + 1)]
     for folder in folders:
@@ -135,13 +130,13 @@ def _check_suite_options(context: click.Context) -> None:
 
 def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
-    from omnisyn_cli.evaluation.scene_files import suite_files, write_suite_scene
+    from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, files_of_scene, write_suite_scene
     from omnisyn_cli.io.outputs import make_folder, staged_folder
-    from omnisyn_cli.scenes.suite import suite_scenes
+    from omnisyn_cli.scenes.paths import suite_scenes
 
     walks = list(suite_scenes())
     for walk in walks:
-        _check_folder(out / walk.name, suite_files(), overwrite)
+        _check_folder(out / walk.name, files_of_scene(PANORAMA_NAMES), overwrite)
     make_folder(out, "scenes")
     for walk in walks:
         if walk.path:

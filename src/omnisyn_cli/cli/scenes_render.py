@@ -51,11 +51,13 @@ def render(
 
     Needs `pip install "omnisyn-cli[scenes]"`.
     """
+    from omnisyn_cli.io import read_photographs
+
     if pool and (poses is not None or frames < 2):
         raise click.UsageError("expected --pool with at least 2 --frames and without --poses; leave one out")
     if poses is not None and count > 1:
         raise click.UsageError("expected --poses without --count, as they are the same cameras; leave one out")
-    photos = _photographs(textures)
+    photos = [] if textures is None else read_photographs(textures)
     several = len(meshes) * count > 1
     for number, path in enumerate(meshes):
         mesh = _mesh(path, scale, photos, seed, z_up=z_up, unlit=unlit, quiet=quiet)
@@ -69,12 +71,6 @@ def render(
                 _write_folder(target, scene, line, size, supersample, no_depth, overwrite)
             if not quiet:
                 say(f"{target}: {len(line)} panorama{'s' * (len(line) > 1)}", err=True)
-
-
-def _photographs(folder: Path | None) -> list[Any]:
-    from omnisyn_cli.io import read_photographs
-
-    return [] if folder is None else read_photographs(folder)
 
 
 def _mesh(path: Path, scale: float, photos: list[Any], seed: int, *, z_up: bool, unlit: bool, quiet: bool) -> Any:
@@ -130,12 +126,11 @@ def _write_folder(
     folder: Path, scene: "MeshScene", line: dict[str, "Pose"], size: tuple[int, int], supersample: int,
     no_depth: bool, overwrite: bool,
 ) -> None:  # fmt: skip
-    from omnisyn_cli.evaluation.scene_files import depth_name, write_renderings
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
     from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
-    from omnisyn_cli.poses.file import POSES_NAME
     from omnisyn_cli.scenes.mesh import render_mesh
 
-    files = [*line, POSES_NAME] if no_depth else [*line, *map(depth_name, line), POSES_NAME]
+    files = files_of_scene(line, with_depth=not no_depth)
     for file in files if folder.is_dir() else []:
         check_output(folder / file, overwrite)
     make_folder(folder.parent, "scenes")

@@ -1,6 +1,6 @@
 """Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
-from omnisyn_cli.scenes.suite import FRAMES_PER_WALK, SuiteScene
+from omnisyn_cli.scenes.paths import FRAMES_PER_WALK, SuiteScene
 
 PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 """Of the panoramas of every scene of the standard set."""
@@ -19,9 +19,9 @@ SUPERSAMPLE = 3
 """Samples per pixel along each axis of the standard set."""
 
 
-def suite_files() -> list[str]:
-    """Names of the files of every scene of the standard set."""
-    return [*PANORAMA_NAMES, *map(depth_name, PANORAMA_NAMES), POSES_NAME]
+def files_of_scene(names: Collection[str], *, with_depth: bool = True) -> list[str]:
+    """Names of the files of a scene: its panoramas, their depth if it is wanted, and poses."""
+    return [*names, *(map(depth_name, names) if with_depth else ()), POSES_NAME]
 
 
 def write_suite_scene(folder: Path, walk: SuiteScene, size: tuple[int, int], threads: int | None = None) -> None:

@@ -186,15 +186,9 @@ def blend_rows(first, second, rule, tables, quantization, out, seen, coarse_colo
 def blend_edge_pixels(first, second, rule, tables, edge_pixels, share, quantization, out):
     """Replace edge pixels by the mean of their samples, each blended by the rule; unseen samples count as the pixel.
 
-    Args:
-        first: :class:`LayerRows` of the first view: ``(2, samples, 4)`` and ``(2, samples)``.
-        second: of the second view.
-        rule: :class:`KernelRule`.
-        tables: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size; only rows are used.
-        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`.
-        share: of the mean; the rest is what the pixel was.
-        quantization: :class:`Quantization`.
-        out: ``(height, width, 3)``, changed.
+    ``first``, ``second``: :class:`LayerRows` of both views: ``(2, samples, 4)`` and ``(2, samples)``. ``tables``:
+    :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size; only rows are used. ``share`` is that of
+    the mean; the rest is what the pixel was. ``out``: ``(height, width, 3)``, changed.
     """
     upper, lower = empty(4 * RUN_PIXELS, np.float32), empty(4 * RUN_PIXELS, np.float32)
     for row in range(len(edge_pixels.tile_begins)):

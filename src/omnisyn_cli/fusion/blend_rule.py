@@ -100,11 +100,7 @@ def view_weights(
 ) -> tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]:
     """Weights of two layers, not normalised; 0 for a layer that shows nothing.
 
-    Args:
-        first: the first layer.
-        second: the second layer.
-        directions: unit vectors through the target's pixels.
-        rule: at its place of the way.
+    ``directions`` are unit vectors through the target's pixels.
     """
     xp = array_namespace(first.weight)
     zero, one = xp.zeros_like(first.weight), xp.ones_like(first.weight)
@@ -144,12 +140,9 @@ def _inverse_distance_weight(layer: LayerArrays, directions: Float[Array, "*pixe
 def blend_layers(
     first: LayerArrays, second: LayerArrays, weights: tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]
 ) -> tuple[Float[Array, "*pixels 3"], Float[Array, "*pixels"]]:
-    """The weighted mean, never negative, and its weight for filling holes around it: 0 in holes, large where it is far.
+    """The mean by the weights of :func:`view_weights`, never negative, and its own weight for filling holes around it.
 
-    Args:
-        first: the first layer.
-        second: the second layer.
-        weights: of :func:`view_weights`.
+    That weight is 0 in holes, and large where the mean is far.
     """
     a, b = weights
     xp = array_namespace(a)

@@ -25,8 +25,7 @@ MIN_THREADED_PIXELS = 1 << 16
 class HoleFiller:
     """A pyramid for one image size, reused from frame to frame.
 
-    Attributes:
-        half: colours and weights of the level of half the size, rounded up; a kernel may pull into it by itself.
+    ``half`` has colours and weights of the level of half the size, rounded up; a kernel may pull into it by itself.
     """
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
@@ -42,21 +41,15 @@ class HoleFiller:
     ) -> None:
         """Fill, in place, the pixels of ``image`` whose ``weight`` is 0; the others are not touched.
 
-        Args:
-            image: RGB; wraps at the seam.
-            weight: >= 0; how much a pixel counts for the holes around it. Without any weight the image becomes black.
+        The image is RGB and wraps at the seam. A weight >= 0 is how much a pixel counts for the holes around it.
+        Without any weight the image becomes black.
         """
         if weight.min() <= 0.0:
             self._pull((image, weight), self.half)
             self.fill(image, weight)
 
     def fill(self, image: Shaped[np.ndarray, "height width 3"], seen: Shaped[np.ndarray, "height width"]) -> None:
-        """The same, after :attr:`half` has been written.
-
-        Args:
-            image: RGB, float32 or unsigned integers.
-            seen: 0 in holes.
-        """
+        """The same, for float32 or unsigned integers, after :attr:`half` has been written; ``seen`` is 0 in holes."""
         if seen.min() > 0:
             return
         for finer, coarser in zip(self._levels[:-1], self._levels[1:], strict=True):
@@ -107,16 +100,10 @@ def _pull_rows(colour, weight, coarse_colour, coarse_weight, rows):
 
 @fast_kernel()
 def _fill_rows_from_coarser(coarse_colour, coarse_weight, colour, weight, keeps_weight, quantization, rows):
-    """Fill the holes of some rows from the next coarser level, bilinearly and by weight; rows end at the poles.
+    """Fill the holes of rows (indices) from the next coarser level, bilinearly and by weight; rows end at the poles.
 
-    Args:
-        coarse_colour: ``(rows, cols, 3)`` of the coarser level.
-        coarse_weight: of these.
-        colour: ``(height, width, 3)``, changed where there are holes.
-        weight: ``(height, width)``; 0 in holes.
-        keeps_weight: otherwise filled pixels get the mean weight of what they were filled from, for the next level.
-        quantization: :class:`omnisyn_cli.fusion.blend_kernels.Quantization` of ``colour``.
-        rows: indices of the rows that have holes.
+    Colours ``(height, width, 3)`` are changed where their weight is 0. Unless ``keeps_weight``, filled pixels get the
+    mean weight of what they were filled from, for the next level. ``quantization`` is that of ``colour``.
     """
     width = weight.shape[1]
     coarse_height, coarse_width = coarse_weight.shape

@@ -65,13 +65,7 @@ class GeometricFuser:
         return out
 
     def blend(self, layers: LayerPair, rule: BlendRule, out: Picture) -> None:
-        """Blend two layers, fill the holes and supersample the edges.
-
-        Args:
-            layers: both, and what is done to their colours.
-            rule: how they are blended.
-            out: written: float32 >= 0, or unsigned integers.
-        """
+        """Blend two layers into float32 >= 0 or unsigned integers, fill the holes and supersample the edges."""
         offset_a, offset_b = (source_offset(layer) for layer in (layers.first, layers.second))
         quantization, scalars, (colours, weights) = quantization_for(out), kernel_rule(rule), self._filler.half
 

@@ -10,17 +10,10 @@ from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 def accumulate_cells(first, first_rho, second, second_rho, cell_size, sums, begin, end):
     """Sums over the pixels of each cell, for rows of cells ``begin`` to ``end``.
 
-    Args:
-        first: ``(height, width, 4)`` RGB and weight.
-        first_rho: its inverse depth.
-        second: as ``first``.
-        second_rho: as ``first_rho``.
-        cell_size: pixels along the side of a cell.
-        sums: ``(rows, cols, 13)``, written: [0] how many pixels both layers see; of these, [1–4] RGB and weight of the
-            first, [5–8] of the second, [9, 10] inverse depth of both; [11] how many only the first sees, [12] only the
-            second.
-        begin: first row of cells.
-        end: the row after the last.
+    Layers are ``(height, width, 4)`` RGB and weight, with their inverse depths; ``cell_size`` is the side of a cell in
+    pixels. ``sums``, ``(rows, cols, 13)``, are written: [0] how many pixels both layers see; of these, [1–4] RGB and
+    weight of the first, [5–8] of the second, [9, 10] inverse depth of both; [11] how many only the first sees, [12]
+    only the second.
     """
     height, width = first_rho.shape
     for i in range(begin, end):
@@ -46,12 +39,9 @@ def accumulate_cells(first, first_rho, second, second_rho, cell_size, sums, begi
 def suppress_rows(first, second, signed_strength, cell_size, top):
     """Take weight from the suppressed layer where both see something; the strength is bilinear between cells.
 
-    Args:
-        first: ``(rows, width, 4)`` RGB and weight; the weight is changed in place.
-        second: likewise.
-        signed_strength: ``(rows, cols)`` by cell: from −1 (the first loses all of its weight) to 1 (the second does).
-        cell_size: pixels along the side of a cell.
-        top: row of the frame that the first row of both is.
+    Layers are ``(rows, width, 4)`` RGB and weight, changed in place; ``top`` is the row of the frame that their first
+    row is. ``signed_strength`` is by cell of ``cell_size`` pixels: from −1 (the first loses all weight) to 1 (the
+    second).
     """
     width = first.shape[1]
     for row in range(len(first)):

@@ -95,11 +95,7 @@ class GhostSuppression:
 
 
 class GhostRemover:
-    """Detects where blending two layers would show a ghost, and which layer is suppressed there.
-
-    Args:
-        size: height and width of the layers.
-        threads: at most this many; None is one per core.
+    """Detects where blending two layers of one size would show a ghost, and which layer is suppressed there.
 
     Attributes:
         is_full_resolution: whether the detector reads every pixel, not only some of each cell.
@@ -118,13 +114,7 @@ class GhostRemover:
         self._directions = cell_directions(size, self._grid).astype(np.float32)
 
     def __call__(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
-        """The suppression for two layers at full size; None without ghosts.
-
-        Args:
-            first: of the first view.
-            second: of the second view.
-            rule: how they are blended.
-        """
+        """The suppression for two layers at full size that a rule blends; None without ghosts."""
         return self.detect(self.downsample(first), self.downsample(second), rule)
 
     def downsample(self, layer: Layer) -> Layer:
@@ -156,11 +146,10 @@ class GhostRemover:
         return min(ILLUMINATION_RADIUS, *(count // 2 - 1 for count in self._grid))
 
     def _cell_means(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
-        """Statistics of each cell.
+        """Statistics of each cell, of the pixels that both layers see.
 
-        Returns:
-            Means of the first and of the second layer over the pixels that both see; how many these are; by what share
-            of all seen pixels the first sees more than the second.
+        Returns the means of both layers; how many pixels these are; by what share of all seen pixels the first sees
+        more.
         """
         (a, a_rho), (b, b_rho) = ((layer.colour, layer.inverse_depth) for layer in (first, second))
         if is_numpy_array(a):
@@ -249,12 +238,8 @@ def suppress(
 ) -> None:
     """Take weight from the suppressed layer where both see something, in place; bilinear between cells.
 
-    Args:
-        first: ``(rows, width, 4)`` RGB and weight of some rows.
-        second: likewise.
-        top: row of the frame that the first of them is.
-        signed_strength: see :class:`GhostSuppression`.
-        cell_size: pixels along the side of a cell.
+    Layers are ``(rows, width, 4)`` RGB and weight; ``top`` is the row of the frame that the first of them is. For the
+    strength by cell and the side of a cell see :class:`GhostSuppression`.
     """
     if is_numpy_array(first):
         suppress_rows(first, second, signed_strength, cell_size, top)
@@ -297,12 +282,7 @@ def _channel_max(values: Float32[Array, "rows cols 3"]) -> Float32[Array, "rows 
 def region_winners(
     differs: Bool[Array, "rows cols"], preference: Float32[Array, "rows cols"]
 ) -> Float32[Array, "rows cols"]:
-    """By cell: 1 in regions where the first layer wins, −1 where the second does, 0 elsewhere.
-
-    Args:
-        differs: the cells of regions.
-        preference: each cell's vote, positive for the first layer.
-    """
+    """By cell: 1 in regions where the first layer wins by the cells' votes, −1 where the second does, 0 elsewhere."""
     xp, labels = array_namespace(preference), label_regions(differs).reshape(-1)
     votes = xp.astype(xp.round(preference * VOTE_STEPS), xp.float64)
     sums = xp.bincount(labels, votes.reshape(-1))

@@ -18,11 +18,9 @@ TILE_COARSE_ROWS = 4
 
 
 class InputBuilder:
-    """Makes channels from layers of at least :data:`CANDIDATE_SCALE` times their size. Not shared between threads.
+    """Makes channels of a size from layers of at least :data:`CANDIDATE_SCALE` times that. Not shared between threads.
 
-    Args:
-        size: height and width of the channels.
-        tiles: runs over the row tiles of the layers.
+    ``tiles`` runs over the row tiles of the layers.
     """
 
     def __init__(self, size: tuple[int, int], tiles: LayerPairShader) -> None:
@@ -32,13 +30,7 @@ class InputBuilder:
     def __call__(
         self, layers: LayerPair, rule: BlendRule, source_samplers: tuple[SourceSampler, SourceSampler]
     ) -> tuple[Float32[np.ndarray, "channels height width"], WarpCandidates]:
-        """The channels of both parts, and the candidates that the network chooses from.
-
-        Args:
-            layers: both, and what is done to their colours.
-            rule: at its place of the way.
-            source_samplers: of both views.
-        """
+        """The channels of both parts, and the candidates that the network chooses from."""
         fine = downsampled_pair(layers, (CANDIDATE_SCALE * self.size[0], CANDIDATE_SCALE * self.size[1]), self._tiles)
         first, second = (_halve(layer) for layer in fine)
         baseline = float(np.linalg.norm(first.offset - second.offset))

@@ -32,16 +32,8 @@ from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS, LOG_WEIGHT_RATIO, DEPTH_GAP = (
-    0,
-    3,
-    6,
-    9,
-    11,
-    13,
-    14,
-)
-SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 15, 17, 18, 19, 20
+FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS = 0, 3, 6, 9, 11
+LOG_WEIGHT_RATIO, DEPTH_GAP, SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 13, 14, 15, 17, 18, 19, 20
 """First channel of each group, and their number, see :func:`fusion_input_channels`. Checkpoints depend on them."""
 
 MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0
@@ -69,12 +61,7 @@ def fusion_input_channels(
 ) -> Float[Array, "channels height width"]:
     """All channels of the list above.
 
-    Args:
-        first: the first layer.
-        second: the second layer.
-        rule: at its place of the way.
-        baseline: distance of both views, in the unit of depth.
-        fill: fills the holes of the geometric fusion.
+    ``baseline`` is the distance of both views in the unit of depth; ``fill`` fills the holes of the geometric fusion.
     """
     xp, like = array_namespace(first.weight), first.weight
     both = first.is_seen & second.is_seen
@@ -134,10 +121,8 @@ def sqrt_inverse_depth(scaled: Float[Array, "*maps height width"]) -> Float[Arra
 def disagreement_mask(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
     """A soft mask in [0, 1]: 1 where the layers disagree about depth, and around there; wraps at the seam.
 
-    Where they agree, the nearer view shows the place sharper, and a mixture would only blur it.
-
-    Args:
-        gap: see :func:`omnisyn_cli.fusion.blend_rule.normalized_depth_gap`.
+    Where they agree, the nearer view shows the place sharper, and a mixture would only blur it. For ``gap`` see
+    :func:`omnisyn_cli.fusion.blend_rule.normalized_depth_gap`.
     """
     disagreement = -array_namespace(gap).expm1(-gap * gap)
     return box_filter(dilate(disagreement, DISAGREEMENT_RADIUS), DISAGREEMENT_BLUR_RADIUS, mirror_poles=False)

@@ -26,13 +26,7 @@ TILE_ROWS = 32
 
 @dataclass(frozen=True)
 class LayerPair:
-    """Both layers of a frame.
-
-    Attributes:
-        first: of the first view.
-        second: of the second view.
-        steps: what changes or judges the colours of both before they are blended, in order.
-    """
+    """Both layers of a frame, and the steps that change or judge their colours before they are blended, in order."""
 
     first: Layer
     second: Layer
@@ -57,12 +51,8 @@ class LayerPair:
     def edge_samples(self, of_first: EdgePixels, of_second: EdgePixels) -> tuple[EdgeSamples, EdgeSamples]:
         """Samples of the same edge pixels in both layers, ready to be blended.
 
-        Args:
-            of_first: the edge pixels, with the sample depths that are known of the first layer.
-            of_second: the same pixels, with those of the second layer.
-
-        Raises:
-            ValueError: a layer cannot be supersampled, see :attr:`has_edge_samples`.
+        The edge pixels come twice, with the sample depths that are known of either layer. ValueError: a layer cannot be
+        supersampled, see :attr:`has_edge_samples`.
         """
         if self.first.edge_samples is None or self.second.edge_samples is None:
             raise ValueError("expected layers with edge samples, got others; ask has_edge_samples first")
@@ -82,17 +72,13 @@ class LayerPairShader:
         self._cached_colours: np.ndarray | None = None
 
     def __call__(
-        self,
-        layers: LayerPair,
-        use: Callable[[int, int, np.ndarray, np.ndarray], None],
+        self, layers: LayerPair, use: Callable[[int, int, np.ndarray, np.ndarray], None],
         boundaries: Sequence[int] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Call ``use`` with first row, row after the last and both layers' colours ``(rows, width, 4)`` of each tile.
 
-        Args:
-            layers: the pair.
-            use: called from several threads.
-            boundaries: first rows of the tiles and, last, the height; by default every :data:`TILE_ROWS` rows.
+        It is called from several threads. ``boundaries`` are the first rows of the tiles and, last, the height; by
+        default every :data:`TILE_ROWS` rows.
         """
         tiles = list(pairwise([*range(0, self.size[0], TILE_ROWS), self.size[0]] if boundaries is None else boundaries))
         tallest = max(bottom - top for top, bottom in tiles)

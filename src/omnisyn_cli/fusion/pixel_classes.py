@@ -23,14 +23,7 @@ SILHOUETTE_PIXELS = 2
 
 
 class PixelClasses(NamedTuple):
-    """Masks ``(height, width)`` of the classes; every pixel is in exactly one.
-
-    Attributes:
-        agree: both layers show something, at one depth.
-        disagree: both show something, at different depths.
-        one_view: one of them shows something.
-        hole: neither does.
-    """
+    """Masks ``(height, width)``: both layers show something, at one depth or at different ones; one does; neither."""
 
     agree: Bool[Array, "height width"]
     disagree: Bool[Array, "height width"]
@@ -39,12 +32,7 @@ class PixelClasses(NamedTuple):
 
 
 def classify_pixels(first: Layer, second: Layer) -> PixelClasses:
-    """The classes of all pixels, of numpy arrays or torch tensors.
-
-    Args:
-        first: of the first view.
-        second: of the second view; of the same size.
-    """
+    """The classes of all pixels of two layers of one size, of numpy arrays or torch tensors."""
     (seen_a, rho_a), (seen_b, rho_b) = _seen_depth(first), _seen_depth(second)
     both, differs = seen_a & seen_b, is_other_surface(rho_a, rho_b)
     return PixelClasses(both & ~differs, both & differs, seen_a ^ seen_b, ~(seen_a | seen_b))

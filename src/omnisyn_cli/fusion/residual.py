@@ -51,11 +51,8 @@ def network_size(
 ) -> tuple[int, int] | None:
     """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
 
-    Args:
-        size: of the frames.
-        rows: of the network's input, at most.
-        multiple: that heights and widths have to be one of.
-        scale: frames have at least so many times that height.
+    Its input has at most so many ``rows``, heights and widths are of a ``multiple``, and frames have at least ``scale``
+    times that height.
     """
     height = min(rows, size[0] // scale, size[1] // (2 * scale)) // multiple * multiple
     return (height, 2 * height) if height else None
@@ -64,12 +61,8 @@ def network_size(
 class ResidualFuser(GeometricFuser):
     """Blends two layers and corrects the frame; a :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
-    Args:
-        size: height and width of the frames; below twice :data:`SIZE_MULTIPLE` rows the fusion is geometric.
-        network: the network.
-        rows: of its input, at most; it was trained on 128.
-        threads: at most this many; None is one per core.
-        edges: see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
+    Below twice :data:`SIZE_MULTIPLE` rows the fusion is geometric. The network's input has at most so many ``rows``; it
+    was trained on 128. For ``threads`` and ``edges`` see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
     """
 
     def __init__(
@@ -87,8 +80,7 @@ class ResidualFuser(GeometricFuser):
     ) -> Picture:
         """The fused picture, without holes, never negative; see :class:`omnisyn_cli.types.Fuser`.
 
-        Raises:
-            InputError: the network does not take the channels, or answers something else.
+        InputError: the network does not take the channels, or answers something else.
         """
         rule = BlendRule.at(t)
         if (
@@ -116,14 +108,7 @@ class ResidualFuser(GeometricFuser):
         self, channels: Float32[np.ndarray, "channels height width"], candidates: WarpCandidates,
         strength: Float32[np.ndarray, "height width"], picture: Picture,
     ) -> None:  # fmt: skip
-        """Mix candidates into a picture with the network's weights.
-
-        Args:
-            channels: the network's input.
-            candidates: what it chooses from.
-            strength: factor of its weights, from 0 to 1.
-            picture: of the geometric fusion, changed.
-        """
+        """Mix candidates into the picture of geometric fusion by the network's weights times ``strength`` in [0, 1]."""
         candidates.mix_in(strength * self._network(channels), picture, self.threads)
 
 

@@ -7,6 +7,8 @@ whole picture at twice the size would: on generated walks full of edges 0.65 dB 
 depth; figures are in ``docs/evaluation.md``.
 """
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
@@ -41,12 +43,7 @@ MIN_SUPERSAMPLING_SHARE = 1.0 / 512.0
 
 
 class EdgeSupersampler:
-    """Replaces the edge pixels of frames of one size by the mean of their samples; reused from frame to frame.
-
-    Args:
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
-    """
+    """Replaces the edge pixels of frames of one size by the mean of their samples; reused from frame to frame."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
@@ -54,12 +51,10 @@ class EdgeSupersampler:
         self._marks = np.empty(size, np.uint8)
 
     def __call__(self, layers: LayerPair, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
-        """Supersample the edges of a picture. At the ends of the way nothing changes: these are the photographs.
+        """Supersample the edges of a picture (float32 or unsigned integers) that was blended of layers by a rule.
 
-        Args:
-            layers: what it was blended of; they can be supersampled.
-            rule: how they were blended; supersampling sets in with its occlusion strength.
-            out: the picture, float32 or unsigned integers.
+        It sets in with the rule's occlusion strength. At the ends of the way nothing changes: these are the
+        photographs.
         """
         height, _ = self.size
         share, scalars, quantization = np.float32(rule.occlusion_strength), kernel_rule(rule), quantization_for(out)
@@ -85,13 +80,8 @@ class EdgeSupersampler:
         """Marks of edge pixels, see :func:`mark_edge_pixels`; the next call overwrites them."""
         first, second = layers.first.inverse_depth, layers.second.inverse_depth
         scale = np.float32(255.0 if picture.dtype.kind == "f" else 255.0 / np.iinfo(picture.dtype).max)
-        run_ranges(
-            lambda begin, end: mark_edge_pixels(
-                first, second, picture, scale, MIN_CONTRAST_LEVELS, self._marks, begin, end
-            ),
-            self.size[0],
-            self.threads,
-        )
+        mark = partial(mark_edge_pixels, first, second, picture, scale, MIN_CONTRAST_LEVELS, self._marks)
+        run_ranges(mark, self.size[0], self.threads)
         return self._marks
 
     def _edge_pixels(

@@ -19,15 +19,10 @@ SKIP_COLUMNS = 64
 def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, end):
     """Mark pixels of rows ``begin`` to ``end`` beside a depth discontinuity of either layer, if it is visible.
 
-    Args:
-        first: ``(height, width)`` inverse depth of the first layer, negative where nothing is seen.
-        second: of the second layer.
-        picture: ``(height, width, 3)`` the blend of both.
-        scale: from its values to levels of 8 bits.
-        min_contrast: levels by which some channel has to vary over 3x3 pixels.
-        marks: ``(height, width)`` uint8, written: bits :data:`FIRST_LAYER_EDGE` and :data:`SECOND_LAYER_EDGE`.
-        begin: first row.
-        end: the row after the last.
+    ``first``, ``second``: ``(height, width)`` inverse depths, negative where nothing is seen. ``picture``: ``(height,
+    width, 3)`` the blend of both, times ``scale`` in levels of 8 bits, of which some channel has to vary by
+    ``min_contrast`` over 3x3 pixels. ``marks``: ``(height, width)`` uint8, written: bits :data:`FIRST_LAYER_EDGE` and
+    :data:`SECOND_LAYER_EDGE`.
     """
     height, width = marks.shape
     for row in range(begin, end):
@@ -97,14 +92,8 @@ def _has_contrast(picture, scale, min_contrast, above, below, col):
 def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a):
     """List the marked pixels of some rows as in :class:`omnisyn_cli.types.EdgePixels`; returns how many, with padding.
 
-    Args:
-        marks: ``(height, width)``.
-        top: first row.
-        tile_begins: ``(rows, tiles + 1)``, written.
-        cols: with space for all, written.
-        double_tables: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size.
-        sin_a: of the samples, written.
-        cos_a: likewise.
+    ``tile_begins`` ``(rows, tiles + 1)``, ``cols`` with space for all, and ``sin_a``, ``cos_a`` of the samples are
+    written. ``double_tables``: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size.
     """
     count, width = 0, marks.shape[1]
     for row in range(len(tile_begins)):
@@ -135,11 +124,8 @@ def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a)
 def prefill_visibility(marks, mark, rho, edge_pixels):
     """Write the sample depths that need no rasterising: away from a layer's own edges they lie on a local plane.
 
-    Args:
-        marks: ``(height, width)``.
-        mark: the bit of this layer's edges; samples of such pixels are left to the rasteriser.
-        rho: ``(height, width)`` the layer's inverse depth.
-        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`; ``unknown_counts`` and ``inverse_depth`` are written.
+    ``mark`` is the bit of this layer's edges; samples of such pixels are left to the rasteriser. ``rho`` is its inverse
+    depth ``(height, width)``. Of ``edge_pixels``, ``unknown_counts`` and ``inverse_depth`` are written.
     """
     height, width = marks.shape
     top, cols, tile_begins = edge_pixels.top, edge_pixels.cols, edge_pixels.tile_begins

@@ -49,14 +49,10 @@ def _interpolate_down_columns(values, row, j, height):
 
 @fast_kernel()
 def hypothesis_rows(hypothesis, weight, top, height, points):
-    """The points to sample in some rows; returns whether there are any.
+    """The points to sample in rows of a frame of ``height`` rows, from ``top`` on; returns whether there are any.
 
-    Args:
-        hypothesis: ``(rows, cols)`` inverse depth.
-        weight: ``(rows, cols)`` of the candidate, at a size of its own.
-        top: row of the frame that the first row is.
-        height: rows of the frame.
-        points: ``(rows, width)``, written: the nearest neighbour's inverse depth, −1 where the candidate has no weight.
+    ``hypothesis`` ``(rows, cols)`` is inverse depth, ``weight`` that of the candidate at a size of its own. ``points``
+    ``(rows, width)`` are written: the nearest neighbour's inverse depth, −1 where the candidate has no weight.
     """
     (rows, cols), width, zero = hypothesis.shape, points.shape[1], np.float32(0.0)
     is_any = False
@@ -76,14 +72,10 @@ def hypothesis_rows(hypothesis, weight, top, height, points):
 
 @fast_kernel()
 def accumulate_candidate(weight, colour, top, height, total):
-    """Add a candidate to some rows of a weighted sum.
+    """Add a candidate to a weighted sum of rows of a frame of ``height`` rows, from ``top`` on.
 
-    Args:
-        weight: ``(rows, cols)`` of the candidate, bilinear, across the seam.
-        colour: ``(rows, width, 4)`` RGB and alpha; alpha is a factor of the weight.
-        top: row of the frame that the first row is.
-        height: rows of the frame.
-        total: ``(rows, width, 4)`` weighted RGB and weight, changed.
+    ``weight`` ``(rows, cols)`` is read bilinearly, across the seam. Of ``colour`` ``(rows, width, 4)`` alpha is a
+    factor of the weight. ``total`` ``(rows, width, 4)`` has weighted RGB and weight.
     """
     width, cols, half = total.shape[1], weight.shape[1], np.float32(0.5)
     step = np.float32(cols / width)
@@ -159,14 +151,8 @@ def _add_candidates(arrays, row, col, share, values):
 def average_candidates(layer_colours, layer_points, arrays, channels, begin, end):
     """All channels of :mod:`omnisyn_cli.fusion.warp_candidates` for some of their rows: means over blocks of pixels.
 
-    Args:
-        layer_colours: ``(rows, cols, 3)`` of both layers.
-        layer_points: ``(2, rows, cols)`` inverse depth of both layers; negative where a layer shows nothing, and
-            there nothing counts.
-        arrays: :class:`CandidateArrays`.
-        channels: ``(CANDIDATE_CHANNELS, height, width)``, written.
-        begin: first of its rows.
-        end: the row after the last.
+    ``layer_colours``: ``(rows, cols, 3)`` of both layers. ``layer_points``: ``(2, rows, cols)`` inverse depths; where
+    they are negative nothing counts. ``channels``: ``(CANDIDATE_CHANNELS, height, width)``, written.
     """
     scale = layer_points.shape[1] // channels.shape[1]
     share, values = np.float32(1.0 / (scale * scale)), empty(len(channels), np.float32)

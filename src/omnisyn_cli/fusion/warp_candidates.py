@@ -84,13 +84,10 @@ class WarpCandidates:
     source_samplers: tuple[SourceSampler, SourceSampler]
 
     def mix_in(self, weights: Float32[np.ndarray, "4 height width"], picture: Picture, threads: int | None) -> None:
-        """Blend the candidates into a picture.
+        """Blend the candidates into a picture, float32 or unsigned integers.
 
-        Args:
-            weights: of the first and of the second photograph at the farthest hypothesis, then at the nearest, at any
-                size; what they leave of 1 is the picture's own weight.
-            picture: float32 or unsigned integers, changed.
-            threads: at most this many.
+        The weights are of the first and of the second photograph at the farthest hypothesis, then at the nearest, at
+        any size; what they leave of 1 is the picture's own weight.
         """
         height, quantization = len(picture), quantization_for(picture)
         weights = weights * np.clip(weights / MIN_CANDIDATE_WEIGHT - np.float32(1.0), 0.0, 1.0)
@@ -126,20 +123,13 @@ class WarpCandidates:
 
 
 def make_warp_candidates(
-    first: LayerArrays,
-    second: LayerArrays,
-    source_samplers: tuple[SourceSampler, SourceSampler],
-    baseline: float,
+    first: LayerArrays, second: LayerArrays, source_samplers: tuple[SourceSampler, SourceSampler], baseline: float,
     threads: int | None,
-) -> WarpCandidates:
+) -> WarpCandidates:  # fmt: skip
     """Sample both photographs at all hypotheses.
 
-    Args:
-        first: the first layer, at :data:`CANDIDATE_SCALE` times the size of the network's input.
-        second: the second layer.
-        source_samplers: of both views.
-        baseline: distance of both views, in the unit of depth.
-        threads: at most this many.
+    The layers have :data:`CANDIDATE_SCALE` times the size of the network's input; ``baseline`` is the distance of both
+    views in the unit of depth.
     """
     hypotheses, colours = depth_hypotheses(first, second), (first.colour, second.colour)
     # In the order of CandidateArrays: each layer's surface in the other view, then both views at both hypotheses.

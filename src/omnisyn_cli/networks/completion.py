@@ -40,12 +40,7 @@ COSINE_POWERS = 4
 
 @dataclass(frozen=True)
 class CompletionConfig(RefinementUNetConfig):
-    """The sizes of a completion network.
-
-    Attributes:
-        heads: of the attention at the last stride.
-        attention_layers: at the last stride.
-    """
+    """The sizes of a completion network, among them heads and number of attention layers at the last stride."""
 
     heads: int
     attention_layers: int
@@ -81,9 +76,7 @@ class CompletionPrediction(DepthPrediction):
 class SphereAttention(nn.Module):
     """A pre-norm transformer layer on the pixels of a coarse map, with a bias by the angle between them.
 
-    Args:
-        channels: of the map, a multiple of ``heads``.
-        heads: of the attention.
+    The channels of the map are a multiple of ``heads``.
     """
 
     def __init__(self, channels: int, heads: int) -> None:
@@ -123,9 +116,8 @@ class SphereAttention(nn.Module):
 
 def reliable_mask(channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 1 height width"]:
     """1 where matching is reliable, else 0."""
-    return torch.maximum(
-        channels[:, CONSISTENT_CHANNEL : CONSISTENT_CHANNEL + 1], channels[:, SKY_CHANNEL : SKY_CHANNEL + 1]
-    )
+    consistent, sky = (channels[:, k : k + 1] for k in (CONSISTENT_CHANNEL, SKY_CHANNEL))
+    return torch.maximum(consistent, sky)
 
 
 def _directions(x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "n 3"]:
@@ -146,9 +138,8 @@ class CompletionNetwork(RefinementUNet):
     def __init__(self, config: CompletionConfig) -> None:
         super().__init__(config, outputs=4)
         coarsest = config.widths[-1]
-        blocks = [ResidualBlock(coarsest, coarsest) for _ in range(2)]
-        for block in blocks:
-            initialise(block)
+        blocks = nn.ModuleList(ResidualBlock(coarsest, coarsest) for _ in range(2))
+        initialise(blocks)
         attention_layers = [SphereAttention(coarsest, config.heads) for _ in range(config.attention_layers)]
         self.middle = nn.Sequential(blocks[0], *attention_layers, blocks[1])
         init_small(self.head)

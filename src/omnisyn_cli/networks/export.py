@@ -44,17 +44,11 @@ def export_network(network: Network, path: Path) -> None:
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the tracer's remarks on sizes, which are meant to be fixed
         torch.onnx.export(
-            _Outputs(network).eval(),
-            tuple(torch.rand(1, *shape) for shape in ports.input_shapes(size).values()),
-            str(path),
-            input_names=list(ports.inputs),
-            output_names=list(ports.outputs),
-            dynamic_axes=None if ports.size else free,
-            opset_version=OPSET,
-            external_data=False,
-            do_constant_folding=ports.is_folded,
-            dynamo=False,
-        )
+            _Outputs(network).eval(), tuple(torch.rand(1, *shape) for shape in ports.input_shapes(size).values()),
+            str(path), input_names=list(ports.inputs), output_names=list(ports.outputs),
+            dynamic_axes=None if ports.size else free, opset_version=OPSET, external_data=False,
+            do_constant_folding=ports.is_folded, dynamo=False,
+        )  # fmt: skip
     model = onnx.load(str(path))
     onnx.helper.set_model_props(model, dict(ports.notes))
     _halve(model.graph)
@@ -113,10 +107,7 @@ def largest_difference(
 ) -> float:
     """Between torch and ONNX Runtime over all outputs of all examples, relative to the largest value of each output.
 
-    Args:
-        network: that was exported.
-        path: of the file.
-        examples: the inputs of one run each, as the network takes them.
+    Each example is the inputs of one run, as the network takes them.
     """
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     names, worst = list(network.ports.inputs), 0.0

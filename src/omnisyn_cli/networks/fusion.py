@@ -44,12 +44,10 @@ LOGIT_SCALE = 8.0
 
 @dataclass(frozen=True)
 class FusionConfig(RefinementUNetConfig):
-    """The sizes of a fusion network.
+    """The sizes of a fusion network; ``fine`` is of the residual one.
 
-    Attributes:
-        fine: channels at full resolution of the residual network.
-        is_direct: whether it predicts colours, as in the paper, or weights of candidates. The widths of a direct
-            network begin at full resolution and end at the bottleneck.
+    A direct network (``is_direct``) predicts colours, as in the paper, others weights of candidates. Its widths begin
+    at full resolution and end at the bottleneck.
     """
 
     fine: int = 0
@@ -137,11 +135,7 @@ class DirectFusionUNet(Network):
         return Ports({"planes": self.config.channels}, ("colour",))
 
     def forward(self, channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 3 height width"]:
-        """The fused picture.
-
-        Raises:
-            ValueError: the size is not a multiple of ``config.size_multiple``.
-        """
+        """The fused picture; ValueError for a size that is no multiple of ``config.size_multiple``."""
         check_multiple(channels, self.config.size_multiple)
         x, skips = channels, []
         for block in self.down:

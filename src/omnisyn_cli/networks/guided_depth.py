@@ -141,14 +141,12 @@ def feature_directions(size: tuple[int, int], shift: float, like: Tensor) -> Flo
 
 
 def sweep_grid(
-    directions: Float[Tensor, "height width 3"],
-    towards: Float[Tensor, "batch 3"],
+    directions: Float[Tensor, "height width 3"], towards: Float[Tensor, "batch 3"],
     sqrt_inv_depths: Float[Tensor, " spheres"],
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Where the other camera sees the points of spheres around this one.
 
-    Returns:
-        Azimuth / π and polar angle / π · 2 − 1, both ``(batch, spheres, height, width)`` in [−1, 1].
+    Azimuth / π and polar angle / π · 2 − 1, both ``(batch, spheres, height, width)`` in [−1, 1].
     """
     moved = directions - sqrt_inv_depths.square()[:, None, None, None] * towards[:, None, None, None, :]
     x, y, z = moved.unbind(-1)
@@ -160,9 +158,8 @@ def sweep_grid(
 def correlate(
     first: Float[Tensor, "batch groups features height width"],
     second: Float[Tensor, "batch groups features height width"],
-    azimuth: Float[Tensor, "batch spheres height width"],
-    polar: Float[Tensor, "batch spheres height width"],
-) -> Float[Tensor, "batch groups spheres height width"]:
+    azimuth: Float[Tensor, "batch spheres height width"], polar: Float[Tensor, "batch spheres height width"],
+) -> Float[Tensor, "batch groups spheres height width"]:  # fmt: skip
     """Products of the features of one camera with those of the other one, where :func:`sweep_grid` says."""
     batch, groups, features, height, width = sizes(first)
     spheres = sizes(azimuth)[1]
@@ -171,18 +168,14 @@ def correlate(
     y = polar - FEATURE_SHIFT * 2.0 / height
     grid = torch.stack([x, y], dim=-1).view(batch, spheres * height, width, 2)
     wide = wrap_columns(second.reshape(batch, groups * features, height, width), 1, 1)
-    warped = functional.grid_sample(
-        wide, grid.to(wide.dtype), mode="bilinear", padding_mode="border", align_corners=False
-    ).view(batch, groups, features, spheres, height, width)
-    return (first.unsqueeze(3) * warped).sum(dim=2)
+    warped = functional.grid_sample(wide, grid.to(wide.dtype), padding_mode="border", align_corners=False)
+    return (first.unsqueeze(3) * warped.view(batch, groups, features, spheres, height, width)).sum(dim=2)
 
 
 def correlate_gathered(
-    first: Float[Tensor, "1 groups features height width"],
-    second: Float[Tensor, "1 groups features height width"],
-    azimuth: Float[Tensor, "1 spheres height width"],
-    polar: Float[Tensor, "1 spheres height width"],
-) -> Float[Tensor, "1 groups spheres height width"]:
+    first: Float[Tensor, "1 groups features height width"], second: Float[Tensor, "1 groups features height width"],
+    azimuth: Float[Tensor, "1 spheres height width"], polar: Float[Tensor, "1 spheres height width"],
+) -> Float[Tensor, "1 groups spheres height width"]:  # fmt: skip
     """The same for the exported file: ONNX Runtime, which samples grids value by value, takes a quarter of the time.
 
     All features of a place are gathered at once, for a few spheres. Their products are interpolated, not the features.
@@ -247,13 +240,11 @@ class GuidedDepthNetwork(Network):
     def ports(self) -> Ports:
         """Both panoramas at the configured size, guidance at a quarter of it, the direction to the other camera."""
         height, width = self.config.size
+        own_sizes = {"towards": (1, 1), "guidance": (height // STRIDE, width // STRIDE)}
         return Ports(
-            {"first": 3, "second": 3, "towards": 3, "guidance": GUIDANCE_CHANNELS},
-            size=self.config.size,
-            own_sizes={"towards": (1, 1), "guidance": (height // STRIDE, width // STRIDE)},
-            notes={"frame": "upright"},
-            is_folded=False,
-        )
+            {"first": 3, "second": 3, "towards": 3, "guidance": GUIDANCE_CHANNELS}, size=self.config.size,
+            own_sizes=own_sizes, notes={"frame": "upright"}, is_folded=False,
+        )  # fmt: skip
 
     def encoder_parameters(self) -> list[nn.Parameter]:
         """Those that begin pretrained and learn slower."""
@@ -264,23 +255,14 @@ class GuidedDepthNetwork(Network):
         self.encoder.load_state_dict(from_classifier(classifier))
 
     def forward(
-        self,
-        first: Float[Tensor, "batch 3 height width"],
-        second: Float[Tensor, "batch 3 height width"],
-        towards: Float[Tensor, "batch 3 1 1"],
-        guidance: Float[Tensor, "batch 6 rows cols"],
-    ) -> GuidedDepthPrediction:
-        """The depth of ``first``.
+        self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"],
+        towards: Float[Tensor, "batch 3 1 1"], guidance: Float[Tensor, "batch 6 rows cols"],
+    ) -> GuidedDepthPrediction:  # fmt: skip
+        """The depth of ``first``, given the colours of both in [0, 1], held alike.
 
-        Args:
-            first: colours in [0, 1].
-            second: of the other camera, held alike.
-            towards: from the first camera to the second. Its length is that of the baseline in the unit of the
-                answer: a longer one reaches nearer surfaces.
-            guidance: see :data:`GUIDANCE_CHANNELS`; a quarter of the height and width.
-
-        Raises:
-            ValueError: the size is not a multiple of ``config.size_multiple``.
+        ``towards`` leads from the first camera to the second. Its length is that of the baseline in the unit of the
+        answer: a longer one reaches nearer surfaces. ``guidance``: see :data:`GUIDANCE_CHANNELS`. ValueError: the size
+        is not a multiple of ``config.size_multiple``.
         """
         check_multiple(first, self.config.size_multiple)
         batch = sizes(first)[0]
@@ -299,11 +281,9 @@ class GuidedDepthNetwork(Network):
         return maps
 
     def _costs(
-        self,
-        first: Float[Tensor, "batch features rows cols"],
-        second: Float[Tensor, "batch features rows cols"],
+        self, first: Float[Tensor, "batch features rows cols"], second: Float[Tensor, "batch features rows cols"],
         towards: Float[Tensor, "batch 3"],
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor]:  # fmt: skip
         """Correlations ``(batch, groups · spheres, rows, cols)`` and :data:`GEOMETRY_CHANNEL_COUNT` channels."""
         config = self.config
         batch, channels, height, width = sizes(first)
@@ -351,11 +331,8 @@ def convex_upsample(
 ) -> Float[Tensor, "batch channels 2*height 2*width"]:
     """Twice the size: each fine pixel is a weighted mean of the 3×3 coarse pixels around it, edges stay sharp.
 
-    Args:
-        x: values; the answer lies between the smallest and the largest of each neighbourhood.
-        logits: for each coarse pixel 9 logits for each of its 2×2 fine pixels, neighbour first.
-
-    Source: RAFT (Teed and Deng, 2020), section 3.3.
+    There are 9 logits for each of the 2×2 fine pixels of a coarse pixel, neighbour first. Source: RAFT (Teed and Deng,
+    2020), section 3.3.
     """
     batch, channels, height, width = sizes(x)
     padded = wrap_columns(torch.cat([x[..., :1, :], x, x[..., -1:, :]], dim=-2), 1, 1)

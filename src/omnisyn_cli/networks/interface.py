@@ -65,24 +65,6 @@ class Network(nn.Module):
         return (answer,) if isinstance(answer, Tensor) else answer.outputs()
 
 
-class PairNetwork(Network):
-    """Two panoramas in, the ``inverse depth · baseline`` of the first one out.
-
-    It is called with the colours of both in [0, 1], held in the forward frame of :mod:`omnisyn_cli.geometry.sweep`.
-
-    Attributes:
-        is_folded: see :class:`Ports`.
-    """
-
-    is_folded = True
-
-    @property
-    def ports(self) -> Ports:
-        """Both panoramas at the configured size, as the sweep is a constant."""
-        both = {"first": 3, "second": 3}
-        return Ports(both, size=self.config.size, notes={"frame": "forward"}, is_folded=self.is_folded)
-
-
 class DepthPrediction:
     """The prediction of a depth network for a panorama.
 

@@ -75,8 +75,3 @@ def init_small(*layers: Any, std: float = 0.01) -> None:
     """Random weights of a small standard deviation for last layers, so that answers begin near where they should."""
     for layer in layers:
         nn.init.normal_(layer.weight, std=std)
-
-
-def upsample_nearest(x: Float[Tensor, "batch channels height width"]) -> Tensor:
-    """Every pixel becomes 2×2 equal ones."""
-    return functional.interpolate(x, scale_factor=2.0, mode="nearest")

@@ -26,7 +26,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.interface import DepthPrediction, NetworkConfig, PairNetwork, check_multiple
+from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, upsample_linear
 
@@ -113,9 +113,8 @@ class PaperPrediction(DepthPrediction):
     def confidence(self) -> Float[Tensor, "batch 1 height width"]:
         """How well both heads agree, in (0, 1]; the paper's network has no confidence of its own."""
         high, low = self.inverse_depth(), self.low.clamp(0.0, MAX_INVERSE_DEPTH)
-        apart = (high - low) / (
-            HALF_CONFIDENCE_DIFFERENCE * torch.maximum(high, low).clamp(min=MIN_RELATIVE_INVERSE_DEPTH)
-        )
+        scale = torch.maximum(high, low).clamp(min=MIN_RELATIVE_INVERSE_DEPTH)
+        apart = (high - low) / (HALF_CONFIDENCE_DIFFERENCE * scale)
         return 1.0 / (1.0 + apart.square())
 
 
@@ -129,13 +128,9 @@ def sweep_grid(
 ) -> Float[Tensor, "levels height width 2"]:
     """Where the second camera sees the points of each sphere, for ``grid_sample`` with aligned corners.
 
-    The second camera stands one baseline straight ahead. The coordinates are those of features with a column more at
-    each side and a row more at each pole (:func:`sweep_volume` adds them), so that no sample falls into a gap at the
-    seam. The file of an exported network keeps these steps where the inverse depths depend on what it is shown.
-
-    Args:
-        inverse_depths: × baseline, of the spheres around the first camera.
-        size: height and width of the features.
+    The second camera stands one baseline straight ahead. The coordinates are those of features of a size, with a column
+    more at each side and a row more at each pole (:func:`sweep_volume` adds them), so that no sample falls into a gap
+    at the seam. The file of an exported network keeps these steps where the inverse depths depend on what it is shown.
     """
     height, width = size
     zero = 0.0 * inverse_depths[0]
@@ -157,9 +152,7 @@ def sweep_volume(
     batch, channels, height, width = sizes(first)
     levels = sizes(grid)[0]
     flat = grid.to(first.device).reshape(1, levels * height, width, 2).expand(batch, -1, -1, -1)
-    swept = functional.grid_sample(
-        _pad_sphere(second.float()), flat, mode="bilinear", padding_mode="border", align_corners=True
-    )
+    swept = functional.grid_sample(_pad_sphere(second.float()), flat, padding_mode="border", align_corners=True)
     return (swept.view(batch, channels, levels, height, width) - first.float().unsqueeze(2)).abs()
 
 
@@ -170,10 +163,8 @@ def _pad_sphere(features: Tensor) -> Tensor:
     return wrap_columns(torch.cat([opposite[..., :1, :], features, opposite[..., -1:, :]], dim=-2), 1, 1)
 
 
-class PaperNetwork(PairNetwork):
-    """Two panoramas in, the first one's ``inverse depth × baseline`` out; see the module's docstring."""
-
-    is_folded = False  # the sweep would be written out, and twice
+class PaperNetwork(Network):
+    """Two panoramas, colours in [0, 1], in, the first one's ``inverse depth × baseline`` out; see the module."""
 
     def __init__(self, config: PaperConfig) -> None:
         super().__init__()
@@ -188,6 +179,11 @@ class PaperNetwork(PairNetwork):
             Block(config.widths[0], 1, leak=1.0),
         )
         self._init_as_colour_sweep()
+
+    @property
+    def ports(self) -> Ports:
+        """Both panoramas at the configured size, as the sweep is a constant; folded, it would be written out twice."""
+        return Ports({"first": 3, "second": 3}, size=self.config.size, notes={"frame": "forward"}, is_folded=False)
 
     @torch.no_grad()
     def _init_as_colour_sweep(self) -> None:

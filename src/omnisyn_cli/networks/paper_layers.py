@@ -18,16 +18,11 @@ LEAK = 0.01
 
 
 class UNet(nn.Module):
-    """Blocks downwards with average pooling, and upwards with linear enlargement and skips.
+    """Blocks downwards with average pooling, and upwards with linear enlargement and skips; of images or volumes.
 
-    As in the authors' network the first block on the way up has no skip, and every block there has half the channels
-    of the level that it comes from.
-
-    Args:
-        inputs: channels.
-        widths: channels of the levels downwards; the last is the bottleneck.
-        finest: level that the way up ends at; where it is 0 there is one output channel.
-        volumetric: volumes instead of images.
+    As in the authors' network the first block on the way up has no skip, and every block there has half the channels of
+    the level that it comes from. ``widths`` are channels of the levels downwards; the last is the bottleneck. The way
+    up ends at level ``finest``; where it is 0 there is one output channel.
     """
 
     def __init__(self, inputs: int, widths: tuple[int, ...], *, finest: int, volumetric: bool = False) -> None:
@@ -66,13 +61,8 @@ class UNet(nn.Module):
 class Block(nn.Module):
     """Two 3×3 (or 3×3×3) convolutions with LeakyReLU; columns wrap, the other sides see zeros.
 
-    Args:
-        inputs: channels, without the row.
-        outputs: channels.
-        has_row: whether the row is one more channel of the input.
-        volumetric: volumes instead of images.
-        enlarge: the input becomes twice as large first.
-        leak: slope below zero; 1 leaves both convolutions linear.
+    With ``has_row`` the row is one more channel of the input; with ``enlarge`` that becomes twice as large first. A
+    slope ``leak`` of 1 leaves both convolutions linear.
     """
 
     def __init__(
@@ -107,11 +97,7 @@ class Block(nn.Module):
 
 
 def row_channel(like: Tensor) -> Tensor:
-    """CoordConv: one channel with the polar angle as a share of a half turn, in (0, 1).
-
-    Args:
-        like: ``(batch, channels, *sizes)``, rows and columns last.
-    """
+    """CoordConv: one channel with the polar angle as a share of a half turn, in (0, 1); rows and columns come last."""
     *_, height, width = sizes(like)
     row = torch.arange(height, dtype=torch.float32, device=like.device)
     polar_angle: Tensor = pixel_to_angles(row, row, (height, width))[1] / math.pi
@@ -121,7 +107,5 @@ def row_channel(like: Tensor) -> Tensor:
 def upsample_linear(x: Tensor, factor: int) -> Tensor:
     """Linear interpolation between the centres of cells, across the seam, in all dimensions but batch and channels."""
     mode = "trilinear" if x.ndim == 5 else "bilinear"
-    wide: Tensor = functional.interpolate(
-        wrap_columns(x, 1, 1), scale_factor=float(factor), mode=mode, align_corners=False
-    )
+    wide: Tensor = functional.interpolate(wrap_columns(x, 1, 1), scale_factor=float(factor), mode=mode)
     return wide[..., factor:-factor]

@@ -12,19 +12,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
-from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, initialise, upsample_nearest
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, initialise
 
 
 @dataclass(frozen=True)
 class RefinementUNetConfig(NetworkConfig):
-    """The sizes of a refinement UNet.
-
-    Attributes:
-        name: of the variant.
-        channels: of the input.
-        widths: channels at strides 2, 4, 8, …
-        fine: channels at full resolution.
-    """
+    """The sizes: channels of the input, channels at strides 2, 4, 8, …, and channels at full resolution."""
 
     name: str
     channels: int
@@ -40,9 +33,7 @@ class RefinementUNetConfig(NetworkConfig):
 class Hourglass(nn.Module):
     """Residual blocks down and up again, with skips that are added.
 
-    Args:
-        inputs: channels.
-        widths: channels, from fine to coarse; each is half as high and wide as the one before.
+    ``widths`` are channels from fine to coarse; each map is half as high and wide as the one before.
     """
 
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
@@ -61,7 +52,9 @@ class Hourglass(nn.Module):
             x = block(x)
         x = self.middle(x)
         for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
-            x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
+            x = block(
+                functional.leaky_relu(functional.interpolate(project(x), scale_factor=2.0, mode="nearest") + skip, LEAK)
+            )
         return x
 
 
@@ -69,10 +62,6 @@ class RefinementUNet(Hourglass, Network):
     """Channels in, outputs of the same size; rolling the columns of the input rolls the output.
 
     Networks inherit the layers, so that checkpoints name them without a prefix, and initialise the last one, ``head``.
-
-    Args:
-        config: of the network.
-        outputs: channels.
     """
 
     def __init__(self, config: RefinementUNetConfig, outputs: int) -> None:
@@ -93,11 +82,7 @@ class RefinementUNet(Hourglass, Network):
     def predict(
         self, channels: Float[Tensor, "batch channels height width"]
     ) -> Float[Tensor, "batch outputs height width"]:
-        """The outputs, in single precision.
-
-        Raises:
-            ValueError: the size is not a multiple of ``config.size_multiple``.
-        """
+        """The outputs, in single precision; ValueError for a size that is no multiple of ``config.size_multiple``."""
         check_multiple(channels, self.config.size_multiple)
         x = self.encode(functional.pixel_unshuffle(channels, 2))
         x = functional.pixel_shuffle(self.expand(x), 2)

@@ -37,19 +37,12 @@ MAX_BLOCK_POINTS = 4 * BLOCK + 2 * LANES
 
 @subkernel()
 def place_quads(quads, k, pose, scale, block):
-    """Transform the points of block ``k`` into the frame of the target, and project them to pixels.
+    """Transform the points of block ``k`` of quads into the frame of the target, and project them to pixels.
 
-    All points go through the same instructions, so that points which quads share stay identical.
-
-    Args:
-        quads: :class:`omnisyn_cli.render.quad_blocks.QuadBlocks`.
-        k: index of the block.
-        pose: three rows of a rotation with the shift behind them, target from panorama.
-        scale: see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
-        block: scratch array, written.
-
-    Returns:
-        The quads of the block as :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
+    All points go through the same instructions, so that points which quads share stay identical. ``pose`` has three
+    rows of a rotation with the shift behind them, target from panorama. For ``scale`` see
+    :func:`omnisyn_cli.geometry.sphere.pixel_scale`. ``block`` is written. Returns
+    :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
     """
     r00, r01, r02, t0 = broadcast(pose[0][0]), broadcast(pose[0][1]), broadcast(pose[0][2]), broadcast(pose[0][3])
     r10, r11, r12, t1 = broadcast(pose[1][0]), broadcast(pose[1][1]), broadcast(pose[1][2]), broadcast(pose[1][3])
@@ -124,12 +117,8 @@ def _quad_box(rows, cols, height, width):
 @fast_subkernel()
 def _find_boxes_without_gaps(block, corners, height, width):
     """Boxes of the quads of a block, without room for gaps; all columns where a quad is wide."""
-    height32, width32, margin, zero = (
-        np.float32(height),
-        np.float32(width),
-        np.float32(BOX_MARGIN_PIXELS),
-        np.float32(0.0),
-    )
+    height32, width32 = np.float32(height), np.float32(width)
+    margin, zero = np.float32(BOX_MARGIN_PIXELS), np.float32(0.0)
     rows, cols, (at0, at1, at2, at3) = block[ROW], block[COL], corners
     row0, row1, row2, row3 = rows[at0:], rows[at1:], rows[at2:], rows[at3:]
     col0, col1, col2, col3 = cols[at0:], cols[at1:], cols[at2:], cols[at3:]
@@ -188,10 +177,8 @@ def _widen(block, corners, k, gap, sin_p, height, width):
         nearest = min(nearest, _corner(block, corner + k)[3])
     angle = gap / (np.float32(MIN_EDGE_DISTANCE_RATIO) * nearest)
     rows = np.ceil(min(angle * np.float32(height / math.pi), np.float32(height)))
-    first, last = (
-        max(block[FIRST_ROW, k] - rows, np.float32(0.0)),
-        min(block[LAST_ROW, k] + rows, np.float32(height - 1)),
-    )
+    first = max(block[FIRST_ROW, k] - rows, np.float32(0.0))
+    last = min(block[LAST_ROW, k] + rows, np.float32(height - 1))
     narrowest = min(sin_p[np.int64(first)], sin_p[np.int64(last)])
     cols = np.ceil(min(angle / narrowest * np.float32(width / (2.0 * math.pi)), np.float32(width)))
     left, right = block[FIRST_COL, k] - cols, block[LAST_COL, k] + cols
@@ -202,14 +189,9 @@ def _widen(block, corners, k, gap, sin_p, height, width):
 
 @subkernel()
 def find_quad_boxes(block, quads, sin_p, height, width):
-    """Boxes of the quads of a transformed block, with room for their gaps if there are any.
+    """Boxes of the quads of a transformed block, which is changed, with room for their gaps if there are any.
 
-    Args:
-        block: scratch array, changed.
-        quads: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
-        sin_p: sines of the polar angles of the target.
-        height: rows of the target.
-        width: columns.
+    ``quads``: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`. ``sin_p``: sines of the polar angles of the target.
     """
     _find_boxes_without_gaps(block, quads.corners, height, width)
     for k in range(len(quads.gaps)):

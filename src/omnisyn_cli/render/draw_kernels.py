@@ -59,14 +59,11 @@ class Target(NamedTuple):
     """The image that is drawn to.
 
     Attributes:
-        rows: sines and cosines of the polar angles, float32.
-        cols: sines and negative cosines of the azimuths.
-        exact_rows: the same in float64.
-        exact_cols: likewise.
+        rows, cols: sines and cosines of the polar angles; sines and negative cosines of the azimuths; float32.
+        exact_rows, exact_cols: the same in float64.
         scale: see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
         inverse_depth: row after row.
-        height: rows.
-        width: columns.
+        height, width: rows and columns.
     """
 
     rows: np.ndarray
@@ -202,19 +199,12 @@ def _edge_vector(block, row, k, sign):
 
 @fast_subkernel()
 def _clip_row_spans(edge, rows, first, count, middle, left, right):
-    """Clip the spans of some rows to the inner side of an edge.
+    """Clip the spans of ``count`` rows from ``first`` on, azimuths ``left`` to ``right``, to the inner side of an edge.
 
     An edge function is negative within an angle ``width`` of the azimuth ``outside``, which is opposite to its
-    horizontal normal. Only what reaches an end of a span is cut off, so a span stays one interval.
-
-    Args:
-        edge: see :func:`_edge_vector`.
-        rows: sines and cosines of the polar angles of the target.
-        first: first row.
-        count: of rows.
-        middle: azimuth that the ends of spans are relative to.
-        left: first azimuths of the spans, changed.
-        right: last azimuths, changed.
+    horizontal normal. Only what reaches an end of a span is cut off, so a span stays one interval. ``rows`` are sines
+    and cosines of the polar angles of the target; the ends of spans are relative to ``middle``. For ``edge`` see
+    :func:`_edge_vector`.
     """
     ex, ey, ez, offset = edge
     reach, one, pi = math.sqrt(ex * ex + ez * ez), np.float32(1.0), np.float32(math.pi)
@@ -234,17 +224,11 @@ def _clip_row_spans(edge, rows, first, count, middle, left, right):
 
 @subkernel()
 def _find_spans(block, k, rows, first, count, middle, half, spans):
-    """First and last azimuth of some rows at which quad ``k`` may be seen.
+    """First and last azimuth of ``count`` rows from ``first`` on at which quad ``k`` of a block may be seen.
 
-    Args:
-        block: scratch array of its block.
-        k: its number there.
-        rows: sines and cosines of the polar angles of the target.
-        first: first row.
-        count: of rows.
-        middle: azimuth that spans are relative to.
-        half: of the box's width, in radians.
-        spans: ``(4, rows)``, written: [0, 1] first and last azimuth of both triangles together; [2, 3] scratch.
+    They are relative to ``middle``; ``half`` is that of the box's width, in radians. ``rows`` are sines and cosines of
+    the polar angles of the target. ``spans`` ``(4, rows)`` are written: [0, 1] of both triangles together; [2, 3]
+    scratch.
     """
     one, other = np.float32(1.0), np.float32(-1.0)
     for i in range(count):
@@ -368,14 +352,8 @@ def exact_corners(block, corners, code, k):
 def draw_quads(block, quads, number, target, face, begin, end):
     """Draw the set-up quads of a block in target rows ``begin`` to ``end``.
 
-    Args:
-        block: scratch array with boxes and setups.
-        quads: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
-        number: of the first face; each quad has two.
-        target: :class:`Target`.
-        face: face numbers, row after row, written; None if nobody wants them.
-        begin: first row.
-        end: the row after the last.
+    ``quads``: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`. ``number``: of the first face; each quad has two.
+    ``target``: :class:`Target`. ``face``: face numbers, row after row, written; None if nobody wants them.
     """
     width = target.width
     for k in range(BLOCK):

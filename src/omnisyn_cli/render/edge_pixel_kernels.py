@@ -34,13 +34,10 @@ HALF_LANES = LANES // 2
 def rasterize_edge_pixels(quads, boxes, pose, target, edge_pixels, out):
     """Inverse depth of the samples of edge pixels, the upper row and then the lower one, negative if nothing is seen.
 
-    Args:
-        quads: :class:`omnisyn_cli.render.quad_blocks.QuadBlocks`.
-        boxes: of its blocks in the target itself, see :func:`omnisyn_cli.render.raster_kernels.find_block_bounds`.
-        pose: three rows of a rotation with the shift behind them, target from panorama.
-        target: :class:`omnisyn_cli.render.draw_kernels.Target` of twice the size; its image is not used.
-        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`.
-        out: ``inverse_depth`` of the edge pixels, flat, changed.
+    ``boxes``: of the blocks of ``quads`` in the target itself, see
+    :func:`omnisyn_cli.render.raster_kernels.find_block_bounds`. ``pose``: three rows of a rotation with the shift
+    behind them, target from panorama. ``target`` has twice the size; its image is not used. ``out``: ``inverse_depth``
+    of the :class:`omnisyn_cli.types.EdgePixels`, flat, changed.
     """
     width = target.width // 2
     block, found = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32), empty((3 * BLOCK, 5), np.int64)
@@ -73,15 +70,10 @@ def _is_any_unknown(edge_pixels, box, width):
 
 @subkernel()
 def _find_quads(block, quads, target, edge_pixels, found):
-    """List the quads of a block that have edge pixels in their boxes; returns how many.
+    """List the quads of a block that have edge pixels in their boxes; returns how many. Wide boxes are tightened.
 
-    Args:
-        block: scratch array with boxes; those of wide quads are tightened.
-        quads: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
-        target: of twice the size.
-        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`.
-        found: ``(entries, 5)`` index and box, written. Rows are those of the target of twice the size, columns those of
-            the target itself. A quad across the seam has two entries.
+    ``target`` has twice the size. ``found`` ``(entries, 5)`` is written: index and box. Rows are those of this target,
+    columns those of the target itself. A quad across the seam has two entries.
     """
     width, top, count = target.width, 2 * edge_pixels.top, 0
     bottom = 2 * (edge_pixels.top + len(edge_pixels.tile_begins))

@@ -9,6 +9,7 @@ Source: Peleg et al., Omnistereo: panoramic stereo imaging, 2001; Google, "Rende
 """
 
 import math
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float32, Shaped
@@ -31,12 +32,9 @@ def top_bottom(
     image: Shaped[np.ndarray, "height width 3"], inverse_depth: Float32[np.ndarray, "height width"],
     threads: int | None = None,
 ) -> Shaped[np.ndarray, "double_height width 3"]:  # fmt: skip
-    """The left eye's panorama above the right eye's, each of the size and the type of the picture.
+    """The left eye's panorama above the right eye's, each of the size and the type of the equirectangular picture.
 
-    Args:
-        image: equirectangular.
-        inverse_depth: 1/metre; negative where it is unknown, which counts as infinitely far.
-        threads: at most this many.
+    Inverse depth is in 1/metre; negative where it is unknown, which counts as infinitely far.
     """
     height, width, _ = image.shape
     out = np.empty((2 * height, width, 3), image.dtype)
@@ -45,11 +43,7 @@ def top_bottom(
     rounding = np.float32(0.0 if image.dtype.kind == "f" else 0.5)
     peak = np.float32(np.finfo(np.float32).max if image.dtype.kind == "f" else np.iinfo(image.dtype).max)
     for sign, eye in ((1.0, out[:height]), (-1.0, out[height:])):
-        run_ranges(
-            lambda begin, end, s=sign, e=eye: _shift_rows(image, shift, np.float32(s), rounding, peak, e, begin, end),  # type: ignore[misc]
-            height,
-            threads,
-        )
+        run_ranges(partial(_shift_rows, image, shift, np.float32(sign), rounding, peak, eye), height, threads)
     return out
 
 
@@ -57,15 +51,8 @@ def top_bottom(
 def _shift_rows(image, shift, sign, rounding, peak, out, begin, end):
     """One eye's rows: what is nearer hides what is farther, and what opens behind it continues the farther side.
 
-    Args:
-        image: the panorama.
-        shift: columns by which each pixel moves, >= 0.
-        sign: 1 to the right, −1 to the left.
-        rounding: added before colours are assigned.
-        peak: the largest colour.
-        out: written.
-        begin: first row.
-        end: the row after the last.
+    ``shift``: columns by which each pixel moves, >= 0; ``sign``: 1 to the right, −1 to the left. ``rounding`` is added
+    before colours are assigned, ``peak`` is the largest.
     """
     width = image.shape[1]
     source, nearest = empty(width, np.float32), empty(width, np.float32)

@@ -210,9 +210,7 @@ class Mesh:
         whole = np.flatnonzero(self.is_whole)
         corner = self.vertices_of(whole)
         rising = (self.quads.ravel()[whole] & DIAGONAL) != 0
-        corner[rising] = corner[rising][
-            :, [1, 3, 0, 2]
-        ]  # turned by 90°, so that it is split from first to fourth as well
+        corner[rising] = corner[rising][:, [1, 3, 0, 2]]  # turned, so that it is split from first to fourth as well
         points = np.concatenate(list(self.pieces()))
         drawn = np.flatnonzero((points[..., 3] >= 0).all(axis=-1))
         corner = np.concatenate([corner, self.inverse_depth.size + 4 * drawn[:, None] + np.arange(4)])
@@ -281,21 +279,14 @@ class Triangles:
 
 
 def build_mesh(
-    inverse_depth: Float[np.ndarray, "height width"],
-    cut: Cut | None = None,
-    mask: Bool[np.ndarray, "height width"] | None = None,
-    confidence: Float[np.ndarray, "height width"] | None = None,
-) -> Mesh:
-    """Mesh of an inverse-depth panorama.
+    inverse_depth: Float[np.ndarray, "height width"], cut: Cut | None = None,
+    mask: Bool[np.ndarray, "height width"] | None = None, confidence: Float[np.ndarray, "height width"] | None = None,
+) -> Mesh:  # fmt: skip
+    """Mesh of an inverse-depth panorama: 1/metre, finite and not negative, 0 infinitely far; at least 2×2 pixels.
 
-    Args:
-        inverse_depth: 1/metre, finite and not negative; 0 is infinitely far. At least 2×2 pixels.
-        cut: where surfaces are separated; by default at relative steps above 0.05.
-        mask: False where the panorama shows nothing usable; such vertices get no surface.
-        confidence: in [0, 1], of the inverse depths; by default 1.
-
-    Raises:
-        ValueError: on values that are negative or not finite, or an image smaller than 2×2.
+    By default surfaces are cut at relative steps above 0.05. Vertices get no surface where ``mask`` is False: nothing
+    usable is shown there. ``confidence`` in [0, 1] is of the inverse depths; by default 1. ValueError: values are
+    negative or not finite, or the image is smaller than 2×2.
     """
     rho = np.ascontiguousarray(inverse_depth, dtype=np.float32)
     if rho.ndim != 2 or min(rho.shape) < 2:
@@ -326,9 +317,7 @@ def mask_of_vertices(
     mask: Bool[np.ndarray, "rows cols"] | None, size: tuple[int, ...]
 ) -> Bool[np.ndarray, "height width"] | None:
     """A photograph's mask at the size of a mesh: True where any pixel of a vertex may be used (alpha does the rest)."""
-    if mask is None:
-        return None
-    return max_pool(mask, size)
+    return None if mask is None else max_pool(mask, size)
 
 
 def _any_corner(mask: np.ndarray) -> np.ndarray:

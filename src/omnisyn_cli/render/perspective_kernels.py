@@ -41,14 +41,9 @@ def _range_of(a, b, c, d):
 
 @subkernel()
 def _find_boxes(block, quads, view, height, width):
-    """Boxes of the quads of a block, empty where nothing of a quad can be seen.
+    """Boxes of the quads of a block with placed points, empty where nothing of a quad can be seen.
 
-    Args:
-        block: scratch array with placed points, changed.
-        quads: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
-        view: pixels of a step sideways at distance 1, and half of the height and of the width there.
-        height: rows of the picture.
-        width: columns.
+    ``view``: pixels of a step sideways at distance 1, and half of the height and of the width there.
     """
     focal, down, across = view
     at0, at1, at2, at3 = quads.corners
@@ -101,17 +96,11 @@ def find_rows_of_blocks(quads, pose, target, view, rows, begin, end):
 
 @kernel()
 def rasterize_perspective(quads, rows, pose, target, view, face, begin, end):
-    """Draw all quads in target rows ``begin`` to ``end``.
+    """Draw all quads in rows ``begin`` to ``end`` of :class:`omnisyn_cli.render.draw_kernels.Target`.
 
-    Args:
-        quads: :class:`omnisyn_cli.render.quad_blocks.QuadBlocks`.
-        rows: of :func:`find_rows_of_blocks`.
-        pose: three rows of a rotation with the shift behind them, target from panorama.
-        target: :class:`omnisyn_cli.render.draw_kernels.Target`, written.
-        view: as :func:`_find_boxes` takes it.
-        face: written, see :func:`omnisyn_cli.render.raster_kernels.rasterize_blocks`; None if nobody wants it.
-        begin: first row.
-        end: the row after the last.
+    ``rows``: of :func:`find_rows_of_blocks`. ``pose``: three rows of a rotation with the shift behind them, target from
+    panorama. ``view``: as :func:`_find_boxes` takes it. ``face``: written, see
+    :func:`omnisyn_cli.render.raster_kernels.rasterize_blocks`; None if nobody wants it.
     """
     width = target.width
     target.inverse_depth[begin * width : end * width] = -1.0

@@ -42,12 +42,8 @@ def _whole_edges(code: int, place: int, step: int) -> int:
 def _quarter_weights() -> tuple[np.ndarray, np.ndarray]:
     directions, inverse_depths = np.empty((4, 4, 4)), np.empty((CUT_EDGES + 1, 4, 4, 4))
     for place, corner in enumerate(_CLOCKWISE_CORNERS):
-        directions[corner] = (
-            _mean_of(place),
-            _mean_of(place, place + 1),
-            _mean_of(place, place - 1),
-            _mean_of(*range(4)),
-        )
+        own, middle = _mean_of(place), _mean_of(*range(4))
+        directions[corner] = own, _mean_of(place, place + 1), _mean_of(place, place - 1), middle
         for code in range(CUT_EDGES + 1):
             ahead, behind = _whole_edges(code, place, 1), _whole_edges(code, place, -1)
             joined = {(place + k) % 4 for k in range(-behind, ahead + 1)}
@@ -116,14 +112,10 @@ def write_quads(
     blocks: QuadBlocks, shared_blocks: int, first: int,
     points: Float[np.ndarray, "quads 4 4"], codes: UInt8[np.ndarray, " quads"],
 ) -> None:  # fmt: skip
-    """Write quads with points of their own.
+    """Write quads with points of their own, and their flags, after ``shared_blocks`` blocks of the caller.
 
-    Args:
-        blocks: changed.
-        shared_blocks: how many blocks of the caller come first.
-        first: index of the first quad among those with points of their own.
-        points: x, y, z and inverse depth of the four corners of each quad.
-        codes: flags of each quad.
+    ``first`` is the index of the first one among those. Points are x, y, z and inverse depth of four corners of each
+    quad.
     """
     block, place = np.divmod(first + np.arange(len(codes)), BLOCK)
     count = len(blocks.codes) - shared_blocks

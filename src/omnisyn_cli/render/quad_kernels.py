@@ -22,16 +22,7 @@ import numpy as np
 from omnisyn_cli.compute.jit import inlined, subkernel
 from omnisyn_cli.render.box_kernels import FIRST_FREE_ROW, INVERSE_DEPTH, X, Y, Z
 from omnisyn_cli.render.quad_blocks import DIAGONAL, HOLE_FLAG
-from omnisyn_cli.render.simd import (
-    LANES,
-    broadcast,
-    has_bits,
-    load,
-    store,
-    to_float32,
-    to_float64,
-    where,
-)
+from omnisyn_cli.render.simd import LANES, broadcast, has_bits, load, store, to_float32, to_float64, where
 
 EDGE_ON_DETERMINANT = 1e-13
 """Determinants below this are triangles seen edge-on: they cover nothing."""
@@ -161,11 +152,7 @@ def _square(a):
 def set_up_quads(block, quads, begin, end):
     """Write edges and planes of the quads ``begin`` to ``end`` of a block, rounded to whole vectors.
 
-    Args:
-        block: scratch array, changed.
-        quads: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`; edges are moved outwards by their gaps.
-        begin: first quad.
-        end: the quad after the last.
+    ``quads``: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`; edges are moved outwards by their gaps.
     """
     codes, gaps, (at0, at1, at2, at3) = quads.codes, quads.gaps, quads.corners
     zero, one, none = broadcast(0.0), broadcast(1.0), broadcast(np.float32(0.0))

@@ -53,17 +53,11 @@ def _range(first, last):
 
 @kernel()
 def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
-    """Draw all quads in target rows ``begin`` to ``end``.
+    """Draw all quads in rows ``begin`` to ``end`` of :class:`omnisyn_cli.render.draw_kernels.Target`.
 
-    Args:
-        quads: :class:`omnisyn_cli.render.quad_blocks.QuadBlocks`.
-        boxes: of :func:`find_block_bounds`; written if all rows are drawn at once.
-        pose: three rows of a rotation with the shift behind them, target from panorama.
-        target: :class:`omnisyn_cli.render.draw_kernels.Target`, written.
-        face: written, twice the index of the quad that is seen, plus one for its second triangle; None if nobody wants
-            it.
-        begin: first row.
-        end: the row after the last.
+    ``boxes``: of :func:`find_block_bounds`; written if all rows are drawn at once. ``pose``: three rows of a rotation
+    with the shift behind them, target from panorama. ``face``: written, twice the index of the quad that is seen, plus
+    one for its second triangle; None if nobody wants it.
     """
     target.inverse_depth[begin * target.width : end * target.width] = -1.0
     if face is not None:

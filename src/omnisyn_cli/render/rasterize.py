@@ -8,7 +8,7 @@ r of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
@@ -65,24 +65,13 @@ class Rasterizer:
     ) -> Float32[np.ndarray, "height width"]:
         """Inverse depth from the target's centre, negative where nothing is seen; the next call overwrites it.
 
-        Args:
-            quads: a surface in the frame of its panorama.
-            target_from_source: rigid transform from the panorama's camera frame to the target's.
-            face: if given, written row after row: twice the index in ``quads`` of what is seen, plus one for the second
-                triangle of a quad. It takes more time.
+        ``face``, if given, is written row after row: twice the index in ``quads`` of what is seen, plus one for the
+        second triangle of a quad. It takes more time.
         """
         pose, boxes = _rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
         if self.threads != 1:  # one thread draws all rows at once, and needs no culling by rows
-            run_ranges(
-                lambda begin, end: find_block_bounds(quads, pose, self._target, boxes, begin, end),
-                len(boxes),
-                self.threads,
-            )
-        run_ranges(
-            lambda begin, end: rasterize_blocks(quads, boxes, pose, self._target, face, begin, end),
-            self.size[0],
-            self.threads,
-        )
+            run_ranges(partial(find_block_bounds, quads, pose, self._target, boxes), len(boxes), self.threads)
+        run_ranges(partial(rasterize_blocks, quads, boxes, pose, self._target, face), self.size[0], self.threads)
         self._boxes = boxes
         return self._inverse_depth
 
@@ -91,10 +80,7 @@ class Rasterizer:
     ) -> Float32[np.ndarray, "2 samples"]:
         """Inverse depth of the samples of edge pixels, negative where nothing is seen, in the caller's thread.
 
-        Args:
-            quads: as in the last call, whose block bounds are used.
-            target_from_source: likewise.
-            edge_pixels: of rows of the target.
+        Quads and pose are those of the last call, whose block bounds are used.
         """
         out, pose = edge_pixels.inverse_depth.copy(), _rows_of(target_from_source)
         rasterize_edge_pixels(quads, self._boxes, pose, self._double_target, edge_pixels, out.reshape(-1))
@@ -115,16 +101,9 @@ class PerspectiveRasterizer:
     ) -> Float32[np.ndarray, "height width"]:
         """Inverse distance along the axis; see :meth:`Rasterizer.__call__`."""
         pose, rows, view = _rows_of(target_from_source), np.empty((len(quads.codes), 2), np.int32), self._view
-        run_ranges(
-            lambda begin, end: find_rows_of_blocks(quads, pose, self._target, view, rows, begin, end),
-            len(rows),
-            self.threads,
-        )
-        run_ranges(
-            lambda begin, end: rasterize_perspective(quads, rows, pose, self._target, view, face, begin, end),
-            self.size[0],
-            self.threads,
-        )
+        run_ranges(partial(find_rows_of_blocks, quads, pose, self._target, view, rows), len(rows), self.threads)
+        draw = partial(rasterize_perspective, quads, rows, pose, self._target, view, face)
+        run_ranges(draw, self.size[0], self.threads)
         return self._inverse_depth
 
 
@@ -144,16 +123,10 @@ def _rows_of(pose: Pose) -> tuple[tuple[np.float32, ...], ...]:
 
 
 def rasterize(mesh: Mesh, target_from_source: Pose, size: tuple[int, int], threads: int | None = None) -> Fragments:
-    """What each pixel of an equirectangular target of ``size = (height, width)`` sees of ``mesh``.
+    """What each pixel of an equirectangular target of any ``size = (height, width)`` sees of ``mesh``.
 
-    Args:
-        mesh: surface in the frame of its panorama.
-        target_from_source: rigid transform from the panorama's camera frame to the target's.
-        size: of the target, any.
-        threads: at most this many; the result does not depend on it.
-
-    Returns:
-        Fragments of the nearest front face through each pixel centre. Back faces are culled.
+    Fragments of the nearest front face through each pixel centre; back faces are culled. The result does not depend on
+    ``threads``.
     """
     drawn = np.empty(size[0] * size[1], np.int32)
     inverse_depth = Rasterizer(size, threads)(mesh.blocks, target_from_source, drawn)

@@ -50,20 +50,12 @@ class TorchLayer:
 
 
 def render_fragments(
-    fragments: Fragments,
-    mesh: Mesh,
-    inverse_depth: Float[Tensor, "rows cols"],
-    colour: Float[Tensor, "image_rows image_cols channels"],
-    target_from_source: Pose,
-) -> TorchLayer:
+    fragments: Fragments, mesh: Mesh, inverse_depth: Float[Tensor, "rows cols"],
+    colour: Float[Tensor, "image_rows image_cols channels"], target_from_source: Pose,
+) -> TorchLayer:  # fmt: skip
     """Inverse depth and colour of fragments as functions of ``inverse_depth`` and ``colour``.
 
-    Args:
-        fragments: what the target sees of ``mesh``.
-        mesh: made of the values of ``inverse_depth``.
-        inverse_depth: the vertices of the mesh, with gradients.
-        colour: the texture, with gradients.
-        target_from_source: the transform that the fragments were made with.
+    The fragments are what the target sees of ``mesh`` by this transform, and the mesh is made of these inverse depths.
     """
     height, width = fragments.face.shape
     visible = fragments.visibility

@@ -44,11 +44,7 @@ class RendererInputs:
     path_end: Float[np.ndarray, " 3"] | None = None
 
     def mesh(self) -> Mesh:
-        """The surface.
-
-        Raises:
-            ValueError: on inverse depths that are negative or not finite.
-        """
+        """The surface; ValueError for inverse depths that are negative or not finite."""
         mask = mask_of_vertices(self.mask, self.inverse_depth.shape)
         return build_mesh(self.inverse_depth, self.cut, mask, self.confidence)
 
@@ -62,15 +58,11 @@ class Renderer(Protocol):
 
 
 class RendererClass(Protocol):
-    """What makes renderers.
-
-    Attributes:
-        shades_on_demand: whether colours are made for some rows at a time, from textures of 8 bits where they do.
-    """
+    """What makes renderers."""
 
     @property
     def shades_on_demand(self) -> bool:
-        """See above."""
+        """Whether colours are made for some rows at a time, from textures of 8 bits where they do."""
         ...
 
     def __call__(self, inputs: RendererInputs) -> Renderer:

@@ -4,27 +4,28 @@ A pixel of the target and an inverse depth are a point, and the photograph shows
 of the point, or of what occludes it. The panorama's own depth in that direction tells which.
 """
 
+import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float, Float32
 
+from omnisyn_cli.compute.arrays import empty
+from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.reprojection_kernels import measure_occlusion
 from omnisyn_cli.render.shade import FULL_CONFIDENCE, Shader, source_view
+from omnisyn_cli.render.shade_kernels import LEVEL, X, Y, Z, find_source_directions
 from omnisyn_cli.render.texture import Texture
 from omnisyn_cli.types import DirectionTables, SourceSampler
 
 
 class Reprojector:
-    """A panorama with its depth that can be warped into any target.
+    """A panorama with its depth (1/metre, at any size) that can be warped into any target.
 
-    Args:
-        texture: makes the photograph's texture, when it is needed first.
-        inverse_depth: 1/metre, of the panorama, at any size.
-        shader: of the frames' size.
+    ``texture`` makes the photograph's texture, when it is needed first; the shader is of the frames' size.
     """
 
     def __init__(
@@ -48,13 +49,8 @@ class Reprojector:
             out = np.empty(inverse_depth.shape, np.float32)
             tables, view = DirectionTables.of_size(*inverse_depth.shape), source_view(target_from_source, 1.0)
             least = np.float32(min_inverse_depth)
-            run_ranges(
-                lambda begin, end: measure_occlusion(
-                    inverse_depth, tables, view, self._inverse_depth, least, out, begin, end
-                ),
-                len(out),
-                self._shader.threads,
-            )
+            measure = partial(_measure_occlusion, inverse_depth, tables, view, self._inverse_depth, least, out)
+            run_ranges(measure, len(out), self._shader.threads)
             return out
 
         return SourceSampler(sample_rows, sample, occlusion)
@@ -68,3 +64,35 @@ class Reprojector:
         if self._small_shader is None or self._small_shader.size != size:
             self._small_shader = Shader((size[0], size[1]), self._shader.threads)
         return self._small_shader
+
+
+@fast_kernel()
+def _measure_occlusion(rho, tables, view, surface, min_inverse_depth, out, begin, end):  # type: ignore[no-untyped-def]
+    """By how much a panorama's own surface is nearer to it than points, for target rows ``begin`` to ``end``.
+
+    ``rho`` ``(height, width)``: inverse depth of the points from the target; negative where there is none. ``tables``:
+    :class:`omnisyn_cli.types.DirectionTables` of the target. ``view``:
+    :class:`omnisyn_cli.render.shade_kernels.SourceView`. ``surface`` ``(rows, cols)``: inverse depth of the panorama.
+    ``out``: difference of inverse depth, seen from the panorama, over the larger of both and ``min_inverse_depth``;
+    positive where the surface hides the point, 0 where there is no point.
+    """
+    width, (rows, cols) = rho.shape[1], surface.shape
+    row_scale, col_scale = np.float32(rows / math.pi), np.float32(cols / (2.0 * math.pi))
+    coordinates, zero = empty((4, width), np.float32), np.float32(0.0)
+    for row in range(begin, end):
+        find_source_directions(
+            rho[row], tables.sin_p[row], tables.cos_p[row], tables.sin_a, tables.cos_a, view, coordinates
+        )
+        for col in range(width):
+            dx, dz = coordinates[X, col], coordinates[Z, col]
+            coordinates[Y, col] = atan2_fast(math.sqrt(dx * dx + dz * dz), coordinates[Y, col]) * row_scale
+            coordinates[X, col] = (atan2_fast(dx, -dz) + np.float32(math.pi)) * col_scale
+            # The length of the direction is the point's distance from the source over that from the target.
+            distance_ratio = math.sqrt(coordinates[LEVEL, col]) + np.float32(1e-9)
+            coordinates[LEVEL, col] = max(rho[row, col], zero) / distance_ratio
+        for col in range(width):
+            i = min(max(np.int32(coordinates[Y, col]), 0), rows - 1)
+            j = min(max(np.int32(coordinates[X, col]), 0), cols - 1)
+            expected, own = coordinates[LEVEL, col], surface[i, j]
+            difference = (own - expected) / max(expected, own, min_inverse_depth)
+            out[row, col] = difference if rho[row, col] >= zero else zero

@@ -6,7 +6,7 @@ A target ray r that meets a surface at inverse depth ρ meets the point that the
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float32, Integer
@@ -40,9 +40,8 @@ class ConfidenceMap:
 
 def make_confidence_map(mesh: Mesh, texture: Texture) -> ConfidenceMap:
     """The confidence map of a mesh; the polar caps get the confidence of the quads beside them."""
-    caps = (
-        np.stack([mesh.surface_confidence[0, :, :2], mesh.surface_confidence[-1, :, 2:]]).min(axis=-1).repeat(2, axis=1)
-    )
+    outer = np.stack([mesh.surface_confidence[0, :, :2], mesh.surface_confidence[-1, :, 2:]])
+    caps = outer.min(axis=-1).repeat(2, axis=1)
     bordered = np.pad(np.concatenate([caps[:1], mesh.quarter_image, caps[1:]]), ((0, 0), (1, 0)), mode="wrap")
     layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
@@ -70,56 +69,27 @@ class Shader:
     ) -> Float32[np.ndarray, "height width 4"]:
         """Colour of a surface and, as fourth channel, alpha times its confidence; all 0 where nothing is seen.
 
-        Where the photograph is magnified it is read by Catmull-Rom interpolation. Where it is minified, two mip levels,
-        half a level finer than its footprint, are read bilinearly and mixed. The next call overwrites the result.
-
-        Args:
-            inverse_depth: 1/metre from the target's centre, negative where nothing is seen.
-            confidence: of the surface.
-            texture: the photograph.
-            target_from_source: the transform.
+        Inverse depth is in 1/metre from the target's centre, negative where nothing is seen. Where the photograph is
+        magnified it is read by Catmull-Rom interpolation. Where it is minified, two mip levels, half a level finer than
+        its footprint, are read bilinearly and mixed. The next call overwrites the result.
         """
         shade_tile = self._tile_shader(confidence, texture, target_from_source)
-        run_ranges(
-            lambda begin, end: shade_tile(inverse_depth, self._tables, self._image, begin, end),
-            self.size[0],
-            self.threads,
-        )
+        run_ranges(partial(shade_tile, inverse_depth, self._tables, self._image), self.size[0], self.threads)
         return self._image
 
     def shade_rows_into(
         self, inverse_depth: InverseDepth, confidence: ConfidenceMap, texture: Texture, target_from_source: Pose,
         begin: int, end: int, out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
-        """Rows ``begin`` to ``end`` of what a call gives, into the caller's buffer, in the caller's thread.
-
-        Args:
-            inverse_depth: of every pixel.
-            confidence: of the surface.
-            texture: the photograph.
-            target_from_source: the transform.
-            begin: first row.
-            end: the row after the last.
-            out: written.
-        """
-        tables = self._tables.of_rows(slice(begin, end))
-        self._tile_shader(confidence, texture, target_from_source)(
-            inverse_depth[begin:end], tables, out, 0, end - begin
-        )
+        """Rows ``begin`` to ``end`` of what a call gives, into the caller's buffer, in the caller's thread."""
+        shade_tile = self._tile_shader(confidence, texture, target_from_source)
+        shade_tile(inverse_depth[begin:end], self._tables.of_rows(slice(begin, end)), out, 0, end - begin)
 
     def sample_rows(
         self, inverse_depth: Float32[np.ndarray, "rows width"], texture: Texture, target_from_source: Pose, top: int,
         out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
-        """Colour and alpha at given depths, with full confidence, in rows from ``top`` on, in the caller's thread.
-
-        Args:
-            inverse_depth: of those rows.
-            texture: the photograph.
-            target_from_source: the transform.
-            top: row of the target that the first of them is.
-            out: written.
-        """
+        """Colour and alpha at given depths, with full confidence, in rows from ``top`` on, in the caller's thread."""
         tables = self._tables.of_rows(slice(top, top + len(out)))
         self._tile_shader(FULL_CONFIDENCE, texture, target_from_source)(inverse_depth, tables, out, 0, len(out))
 
@@ -131,22 +101,14 @@ class Shader:
         sampled, tables = grid_subsample(inverse_depth, rows, cols), self._tables.of_rows(rows).of_cols(cols)
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
         shade_tile = self._tile_shader(confidence, texture, target_from_source)
-        run_ranges(lambda begin, end: shade_tile(sampled, tables, out, begin, end), len(rows), self.threads)
+        run_ranges(partial(shade_tile, sampled, tables, out), len(rows), self.threads)
         return out
 
     def shade_edges(
         self, inverse_depth: Float32[np.ndarray, "2 samples"], edge_pixels: EdgePixels, confidence: ConfidenceMap,
         texture: Texture, target_from_source: Pose,
     ) -> Float32[np.ndarray, "2 samples 4"]:  # fmt: skip
-        """Colour and weight of the samples of edge pixels, in the caller's thread.
-
-        Args:
-            inverse_depth: of the samples.
-            edge_pixels: of rows of the target.
-            confidence: of the surface.
-            texture: the photograph.
-            target_from_source: the transform.
-        """
+        """Colour and weight of the samples of edge pixels, given their inverse depth, in the caller's thread."""
         out = np.empty((*inverse_depth.shape, CHANNELS), np.float32)
         double, view = self._double_tables, source_view(target_from_source, texture.size[0] / self.size[0])
         view = view._replace(texels_per_pixel=view.texels_per_pixel / np.float32(2.0))

@@ -73,12 +73,9 @@ class TextureArrays(NamedTuple):
 
 
 class SourceView(NamedTuple):
-    """Where a source is seen from.
+    """Where a source is seen from: rotation of the target's frame from the source's, position there, and resolution.
 
-    Attributes:
-        rotation: of the target's frame from the source's.
-        position: of the source in the target's frame.
-        texels_per_pixel: of the texture at full resolution, per pixel of the target.
+    ``texels_per_pixel``: of the texture at full resolution, per pixel of the target.
     """
 
     rotation: np.ndarray
@@ -118,14 +115,9 @@ class _Scratch(NamedTuple):
 def shade_rows(rho, texture, tables, view, image, begin, end):
     """Texture lookup for rows ``begin`` to ``end``; a texel's four channels are a quarter of a vector.
 
-    Args:
-        rho: ``(height, width)`` inverse depth from the target; negative where nothing is seen.
-        texture: :class:`TextureArrays`.
-        tables: :class:`omnisyn_cli.types.DirectionTables` of these rows.
-        view: :class:`SourceView`.
-        image: ``(height, width, 4)``, written: RGB, and alpha times confidence.
-        begin: first row.
-        end: the row after the last.
+    ``rho`` ``(height, width)``: inverse depth from the target; negative where nothing is seen. ``texture``:
+    :class:`TextureArrays`. ``tables``: :class:`omnisyn_cli.types.DirectionTables` of these rows. ``view``:
+    :class:`SourceView`. ``image`` ``(height, width, 4)``, written: RGB, and alpha times confidence.
     """
     width, flat = rho.shape[1], image.reshape(-1)
     scratch = _new_scratch(texture.layout, texture.weights[1])
@@ -141,16 +133,9 @@ def shade_rows(rho, texture, tables, view, image, begin, end):
 
 @fast_kernel()
 def shade_edge_pixels(rho, edge_pixels, texture, sin_p, cos_p, view, colour):
-    """The same for the samples of edge pixels.
+    """The same for the samples of edge pixels: ``rho`` ``(2, samples)``, ``colour`` ``(2, samples, 4)``, written.
 
-    Args:
-        rho: ``(2, samples)``.
-        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`.
-        texture: :class:`TextureArrays`.
-        sin_p: of all rows of a target of twice the size.
-        cos_p: likewise.
-        view: :class:`SourceView` of a target of twice the size.
-        colour: ``(2, samples, 4)``, written.
+    ``sin_p``, ``cos_p``: of all rows of a target of twice the size, as is that of ``view``.
     """
     scratch = _new_scratch(texture.layout, texture.weights[1])
     for row in range(len(edge_pixels.tile_begins)):
@@ -331,10 +316,8 @@ def _find_confidences(coordinates, confidence, confidence_layout, confidences, c
     col_scale, col_zero = confidence_layout[2], confidence_layout[3]
     stride = np.int32(confidence_layout[4])
     for k in range(count):
-        row, col = (
-            np.int32(coordinates[Y, k] * row_scale + row_zero),
-            np.int32(coordinates[X, k] * col_scale + col_zero),
-        )
+        row = np.int32(coordinates[Y, k] * row_scale + row_zero)
+        col = np.int32(coordinates[X, k] * col_scale + col_zero)
         confidences[k] = confidence[np.int32(row * stride) + col]
 
 
@@ -400,10 +383,8 @@ def _find_bilinear(coordinates, level, stride, factors, full_weight, index, shar
         y, x = coordinates[Y, col] * y_scale + y_zero, coordinates[X, col] * x_scale + x_zero
         i, j = np.int32(y), np.int32(x)
         index[col] = np.int32(i * texels_a_row) + j
-        share, across = (
-            full_weight * max(one - abs(coordinates[LEVEL, col] - np.float32(level)), zero),
-            x - np.float32(j),
-        )
+        share = full_weight * max(one - abs(coordinates[LEVEL, col] - np.float32(level)), zero)
+        across = x - np.float32(j)
         below = share * (y - np.float32(i))
         above, below_right = share - below, below * across
         above_right = above * across

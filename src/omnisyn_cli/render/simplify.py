@@ -9,6 +9,8 @@ Larger quads beside smaller ones share corners but not edges. So that no crack c
 merged quad reach outwards by as much as the vertices along them lie outside (its *gap*).
 """
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Float, Integer
 
@@ -48,24 +50,17 @@ STRAIGHT_CUTS = {10: ((0, 4, 2, 5), (9, 14, 8, 12)), 5: ((0, 1, 8, 10), (6, 4, 1
 
 
 def simplify(
-    mesh: Mesh,
-    path: Float[np.ndarray, " 3"],
-    height: int,
-    tolerance: float = MAX_SHIFT_PIXELS,
+    mesh: Mesh, path: Float[np.ndarray, " 3"], height: int, tolerance: float = MAX_SHIFT_PIXELS,
     threads: int | None = None,
-) -> tuple[QuadBlocks, int]:
+) -> tuple[QuadBlocks, int]:  # fmt: skip
     """The quads to draw for a mesh that is seen from a straight path, and how many triangles they are.
 
-    Args:
-        mesh: the surface in the frame of its panorama.
-        path: metres, in that frame: targets lie between the panorama and this point.
-        height: rows of the targets.
-        tolerance: in pixels of the targets.
-        threads: at most this many; the result does not depend on it.
+    Targets of ``height`` rows lie between the panorama and ``path``, in metres in its frame. ``tolerance`` is in pixels
+    of these. The result does not depend on ``threads``.
     """
     angle, tables = tolerance * np.pi / height, direction_tables(*mesh.size)
     rho, bounds, end_of_path = mesh.inverse_depth, np.empty(mesh.size, np.float32), np.asarray(path, np.float64)
-    run_ranges(lambda begin, end: bound_errors(rho, tables, end_of_path, angle, bounds, begin, end), len(rho), threads)
+    run_ranges(partial(bound_errors, rho, tables, end_of_path, angle, bounds), len(rho), threads)
     marks = _merge(mesh, bounds, angle, tables, threads)
     parts = [_rectangles(mesh, marks, tables, float(np.linalg.norm(path)), threads), *_pieces(mesh, marks)]
     points, codes, gaps, orders = (np.concatenate(group) for group in zip(*parts, strict=True))
@@ -80,15 +75,9 @@ def flat_rectangles(
 ) -> tuple[Integer[np.ndarray, "rectangles 4"], Float[np.ndarray, "pieces 4 4"]]:
     """The same for a surface that is seen from anywhere, without gaps, as rectangles of quads and pieces.
 
-    Args:
-        mesh: the surface; no vertex is infinitely far.
-        share: of its distance by which a vertex may be moved along its ray.
-        angle: radians by which an edge may leave its row of the image.
-        threads: at most this many.
-
-    Returns:
-        First row, first column, height and width of each rectangle, in quads; and directions and inverse depths of the
-        points of pieces, see :meth:`omnisyn_cli.render.mesh.Mesh.pieces`.
+    No vertex is infinitely far; it may be moved along its ray by ``share`` of its distance. An edge may leave its row
+    of the image by ``angle`` radians. Returns first row, first column, height and width of each rectangle, in quads;
+    and directions and inverse depths of the points of pieces, see :meth:`omnisyn_cli.render.mesh.Mesh.pieces`.
     """
     rho = mesh.inverse_depth
     marks = _merge(mesh, np.where(rho < 0, -1, share * rho).astype(np.float32), angle,
@@ -111,13 +100,10 @@ def _merge(
     """Marks of rectangles (:data:`HEIGHT_CODE`) whose inverse depths err by no more than ``bounds``."""
     rho = mesh.inverse_depth
     marks = np.where(mesh.quads & HOLE_FLAG, np.uint8(COVERED_CODE), np.uint8(0))
-    run_ranges(lambda begin, end: mark_cuts(marks, mesh.quads, rho, bounds, begin, end), len(marks), threads)
+    run_ranges(partial(mark_cuts, marks, mesh.quads, rho, bounds), len(marks), threads)
     most = min(MAX_SIDE_LOG2, max(0, (mesh.size[1] // 8).bit_length() - 1))
-    run_ranges(
-        lambda begin, end: merge_strips(marks, FlatnessTest(rho, bounds, tables, angle), most, begin, end),
-        -(-len(marks) // (1 << most)),
-        threads,
-    )
+    merge = partial(merge_strips, marks, FlatnessTest(rho, bounds, tables, angle), most)
+    run_ranges(merge, -(-len(marks) // (1 << most)), threads)
     return marks
 
 
@@ -148,11 +134,8 @@ def _rectangles(
     gaps = np.zeros(len(row))
     merged = np.flatnonzero((height * width > 1) | ((mesh.quads[row, col] & CUT_EDGES) != 0))
     rectangles, found = np.stack([row, col, height, width], -1)[merged], np.empty(len(merged))
-    run_ranges(
-        lambda begin, end: measure_gaps(mesh.inverse_depth, mesh.quads, tables, rectangles, reach, found, begin, end),
-        len(merged),
-        threads,
-    )
+    measure = partial(measure_gaps, mesh.inverse_depth, mesh.quads, tables, rectangles, reach, found)
+    run_ranges(measure, len(merged), threads)
     gaps[merged] = GAP_MARGIN * found
     return points, np.where(rising, np.uint8(DIAGONAL), np.uint8(0)), gaps, _draw_order(row, col, mesh.size[1])
 

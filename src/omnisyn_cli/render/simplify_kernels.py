@@ -30,14 +30,8 @@ def bound_errors(rho, tables, path, tolerance, bounds, begin, end):
     A point d/ρ seen from ``τ·path`` lies along ``d − ρτ·path``. For each unit of ρ its direction turns by at most
     ``τ|path| / |d − ρτ·path|²``, which is greatest at ``τ = 1/(ρ|path|)`` or at the end of the path.
 
-    Args:
-        rho: ``(height, width)`` inverse depth of the vertices.
-        tables: see :func:`omnisyn_cli.geometry.sphere.direction_tables`.
-        path: its end, in metres, in the panorama's frame.
-        tolerance: radians by which a vertex may be shifted.
-        bounds: ``(height, width)``, written.
-        begin: first row.
-        end: the row after the last.
+    ``rho``, ``bounds``: ``(height, width)``. ``tables``: see :func:`omnisyn_cli.geometry.sphere.direction_tables`.
+    ``path``: its end, in metres, in the panorama's frame. ``tolerance``: radians by which a vertex may be shifted.
     """
     sin_p, cos_p, sin_a, cos_a = tables
     length = math.sqrt(path[0] * path[0] + path[1] * path[1] + path[2] * path[2])

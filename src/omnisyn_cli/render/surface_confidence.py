@@ -53,10 +53,8 @@ def quarter_confidence(
 ) -> Float32[np.ndarray, "height-1 width 4"]:
     """Confidence in (0, 1] of the quarters of a mesh's quads; columns wrap; in a whole quad all four are equal.
 
-    Args:
-        inverse_depth: 1/metre; negative where there is no surface.
-        is_cut: whether any edge of the quad is cut.
-        confidence: in [0, 1], of the inverse depths; by default 1. The least one of its corners counts for a quad.
+    Inverse depth is negative where there is no surface. ``is_cut``: whether any edge of the quad is cut. ``confidence``
+    in [0, 1] is of the inverse depths; by default 1. The least one of its corners counts for a quad.
     """
     whole = np.full(is_cut.shape, 1.0, np.float32)
     quarters = np.full((4, *is_cut.shape), CUT_QUAD_CONFIDENCE, np.float32)

@@ -74,13 +74,9 @@ def make_texture(
 
 @cache
 def cubic_weights(dtype: str) -> tuple[Shaped[np.ndarray, " numbers"], Shaped[np.ndarray, " numbers"]]:
-    """Catmull-Rom weights of texels at offsets −1, 0, 1, 2 of fractions from 0 to 1.
+    """Catmull-Rom weights of texels at offsets −1, 0, 1, 2 of fractions from 0 to 1, for rows and for columns.
 
-    Args:
-        dtype: of the texels; the weights are what :mod:`omnisyn_cli.render.simd` takes for them.
-
-    Returns:
-        Those of rows and those of columns.
+    They are what :mod:`omnisyn_cli.render.simd` takes for texels of this type.
     """
     x = np.linspace(0.0, 1.0, CUBIC_STEPS[dtype] + 1)
     weights = 0.5 * np.stack(

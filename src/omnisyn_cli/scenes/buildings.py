@@ -7,8 +7,7 @@ import numpy as np
 from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.materials import Material, Pattern, random_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
 DARK_GLASS = Material(Pattern.PLAIN, (0.12, 0.14, 0.16), grain=0.1, gloss=1.0)
 """Of windows without a room behind them. Set by hand."""
@@ -23,12 +22,6 @@ def _facade(rng: np.random.Generator, floor: float, shop: bool) -> Material:
         line=rng.uniform(0.05, 0.11), grain=rng.uniform(0.04, 0.16), grain_size=rng.uniform(0.8, 4.0),
         detail=0.8 if shop else 0.2, gloss=0.9, seed=int(rng.integers(1, 10000)),
     )  # fmt: skip
-
-
-def _flank(rng: np.random.Generator, wall: palette.Colour) -> Material:
-    if rng.random() < 0.3:
-        return tonal_material(Pattern.BRICK, wall, 0.85, 1.25, cell=(0.26, 0.085), line=0.012, grain=0.15)
-    return tonal_material(Pattern.PLAIN, wall, 0.75, grain=0.15, grain_size=2.5, detail=0.35)
 
 
 def town_house(
@@ -113,12 +106,8 @@ def _ground_floor(build: SceneBuilder, base: Point, width: float, side: float, f
     )  # fmt: skip
     at = z + rng.uniform(-0.35, 0.35) * width
     build.add(Shape.BOX, (x, y + 1.1, at), (0.06, 1.1, 0.55), door)
-    build.add(
-        Shape.BOX,
-        (x - side * 0.15, y + 0.08, at),
-        (0.25, 0.08, 0.75),
-        Material(Pattern.PLAIN, pick(rng, palette.CONCRETE)),
-    )
+    step = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE))
+    build.add(Shape.BOX, (x - side * 0.15, y + 0.08, at), (0.25, 0.08, 0.75), step)
     if not shop:
         return
     palettes = (palette.SIGN, palette.PLASTER, palette.SIGN)
@@ -128,16 +117,15 @@ def _ground_floor(build: SceneBuilder, base: Point, width: float, side: float, f
         cloth = Material(
             Pattern.STRIPES, pick(rng, palette.SIGN), (0.85, 0.83, 0.78), cell=(0.5, 0.5), detail=0.5, grain=0.08
         )
-        _lean(build, (x - side * 0.55, y + floor - 0.85, z), (0.62, 0.02, 0.35 * width), -side * 0.45, cloth)
+        centre, half = (x - side * 0.55, y + floor - 0.85, z), (0.62, 0.02, 0.35 * width)
+        build.add(Shape.BOX, centre, half, cloth, rotation=_about_z(-side * 0.45))
     if rng.random() < 0.4:  # a sign that sticks out
         build.add(Shape.BOX, (x - side * 0.5, y + floor + 0.3, z + 0.4 * width), (0.35, 0.35, 0.04), board)
 
 
-def _lean(build: SceneBuilder, centre: Point, half: Point, angle: float, material: Material) -> None:
-    """Add a box turned about the z axis."""
+def _about_z(angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    build.add(Shape.BOX, centre, half, material, rotation=rotation)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _pitched_roof(build: SceneBuilder, middle: Point, depth: float, width: float, *, along_z: bool) -> None:
@@ -152,13 +140,12 @@ def _pitched_roof(build: SceneBuilder, middle: Point, depth: float, width: float
     run = 0.5 * span / math.cos(angle)
     rise = 0.5 * span * math.tan(angle)
     for sign in (-1.0, 1.0):
-        c, s = math.cos(sign * angle), math.sin(sign * angle)
         if along_z:
-            rotation = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+            rotation = _about_z(-sign * angle)
             centre = (middle[0] + sign * 0.5 * span, middle[1] + rise, middle[2])
             half = (run, 0.09, 0.5 * width + 0.2)
         else:
-            rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+            rotation = np.roll(_about_z(sign * angle), 1, axis=(0, 1))  # about x
             centre = (middle[0], middle[1] + rise, middle[2] + sign * 0.5 * span)
             half = (0.5 * depth + 0.2, 0.09, run)
         build.add(Shape.BOX, centre, half, tiles, rotation=rotation)
@@ -205,7 +192,10 @@ def house(build: SceneBuilder, base: Point, width: float, side: float, *, detail
     centre = (x + side * 0.5 * depth, y + 0.5 * height, z)
     build.add(Shape.BOX, centre, (0.5 * depth, 0.5 * height, 0.5 * width), front)
     _pitched_roof(build, (centre[0], y + height, z), depth, width, along_z=bool(rng.random() < 0.6))
-    gable = _flank(rng, front.first)
+    if rng.random() < 0.3:
+        gable = tonal_material(Pattern.BRICK, front.first, 0.85, 1.25, cell=(0.26, 0.085), line=0.012, grain=0.15)
+    else:
+        gable = tonal_material(Pattern.PLAIN, front.first, 0.75, grain=0.15, grain_size=2.5, detail=0.35)
     build.add(Shape.BOX, (centre[0], y + height + 0.5, z), (0.3 * depth, 0.7, 0.3 * width), gable)
     if not detailed:
         return

@@ -10,8 +10,7 @@ import numpy as np
 from omnisyn_cli.scenes import furniture, palette, props
 from omnisyn_cli.scenes.materials import Material, Pattern, random_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder, Shape
 from omnisyn_cli.scenes.walls import Cell, Openings, wall_axes
 
 FurnitureMaker = Callable[[LocalFrame], None]

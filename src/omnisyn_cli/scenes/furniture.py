@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, plant_material, tonal_material
+from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame
 
@@ -90,9 +90,8 @@ def chair(local: LocalFrame) -> None:
         local.rod((x, 0.0, half - 0.03), (x, height, half - 0.03), 0.016, leg)
         local.rod((x, 0.0, -half + 0.02), (x, top, -half - 0.03), 0.016, leg)
     if rng.random() < 0.5:
-        local.box(
-            (0.0, 0.5 * (height + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - height) - 0.02, 0.012), seat
-        )
+        size = (half - 0.02, 0.4 * (top - height) - 0.02, 0.012)
+        local.box((0.0, 0.5 * (height + top) + 0.08, -half - 0.02), size, seat)
     else:
         for share in (0.35, 0.65, 0.95):
             local.box((0.0, height + share * (top - height), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
@@ -219,7 +218,7 @@ def plant(local: LocalFrame) -> None:
     clay = pick(rng, palette.BRICK)
     local.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, tonal_material(Pattern.PLAIN, clay, 0.9, grain=0.1))
     green = pick(rng, palette.FOLIAGE)
-    leaves = plant_material(Pattern.LEAVES, green, 0.6, 1.3, cell=(0.1, 0.1), detail=0.75)
+    leaves = tonal_material(Pattern.LEAVES, green, 1.3, first=0.6, cell=(0.1, 0.1), detail=0.75)
     height = rng.uniform(0.3, 0.8)
     local.rod((0.0, 0.3, 0.0), (0.0, 0.4 + height, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
     for _ in range(int(rng.integers(2, 5))):
@@ -247,13 +246,13 @@ def stairs(local: LocalFrame, steps: int) -> None:
     rng = local.build.rng
     tread, rail = wood(rng, 0.3), CHROME
     width, rise, run = rng.uniform(0.45, 0.7), 0.175, 0.28
+    x = width - 0.05
     for k in range(steps):
-        local.box((0.0, 0.5 * rise * (k + 1), -run * k), (width, 0.5 * rise * (k + 1), 0.5 * run), tread)
+        y, z = rise * (k + 1), -run * k
+        local.box((0.0, 0.5 * rise * (k + 1), z), (width, 0.5 * rise * (k + 1), 0.5 * run), tread)
         if k % 2 == 0:
-            local.rod(
-                (width - 0.05, rise * (k + 1), -run * k), (width - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail
-            )
-    local.rod((width - 0.05, rise + 0.9, 0.0), (width - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)
+            local.rod((x, y, z), (x, y + 0.9, z), 0.012, rail)
+    local.rod((x, rise + 0.9, 0.0), (x, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)
 
 
 def carton_pile(local: LocalFrame) -> None:

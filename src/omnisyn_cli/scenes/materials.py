@@ -63,32 +63,28 @@ class Material(NamedTuple):
     seed: int = 1
 
 
+COLOURS = ("first", "second", "third")
+
+
 def tonal_material(
-    pattern: Pattern, tone: Colour, second: float, third: float | None = None, **properties: Any
+    pattern: Pattern, tone: Colour, second: float, third: float | None = None, first: float = 1.0, **properties: Any
 ) -> Material:
-    """A material of one colour: its second and third are that colour times a factor; ``properties`` is the rest."""
+    """A material whose colours are one colour times a factor each; ``properties`` is the rest."""
     if third is not None:
         properties["third"] = scaled(tone, third)
-    return Material(pattern, tone, scaled(tone, second), **properties)
-
-
-def plant_material(pattern: Pattern, green: Colour, first: float, second: float, **properties: Any) -> Material:
-    """What grows: its first and second colour are a green times a factor; ``properties`` is the rest."""
-    return Material(pattern, scaled(green, first), scaled(green, second), **properties)
+    return Material(pattern, scaled(tone, first), scaled(tone, second), **properties)
 
 
 def random_material(
     rng: np.random.Generator, pattern: Pattern, palettes: Sequence[Palette], **properties: Any
 ) -> Material:
     """A material whose colours are picked from a palette each and whose seed is drawn; the rest is ``properties``."""
-    properties |= zip(("first", "second", "third"), [pick(rng, palette) for palette in palettes], strict=False)
+    properties |= zip(COLOURS, [pick(rng, palette) for palette in palettes], strict=False)
     return Material(pattern, seed=int(rng.integers(1, 1000)), **properties)
 
 
 PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS)
 """Patterns with holes, which rays pass."""
-
-COLOURS = ("first", "second", "third")
 
 PACKED_MATERIAL = np.dtype([
     ("pattern", "i8"), *((name, "f8", 3) for name in COLOURS), ("cell", "f8", 2), ("line", "f8"), ("grain", "f8"),

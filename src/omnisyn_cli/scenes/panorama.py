@@ -7,10 +7,9 @@ from jaxtyping import Float, Int
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes.mesh.raycast import Caster, Hits
-from omnisyn_cli.scenes.mesh.render import Shader, render
-from omnisyn_cli.scenes.scene import Scene
+from omnisyn_cli.scenes.mesh.render import render
+from omnisyn_cli.scenes.scene import Scene, triangles
 from omnisyn_cli.scenes.shader import Surfaces, find_holes, find_surfaces, shade_rays
-from omnisyn_cli.scenes.solids import triangles
 
 SUN_POINTS = ((-0.5, -0.5), (0.5, -0.2), (-0.2, 0.5), (0.4, 0.4))
 """Points on the disc of the sun, in half angles: the samples of a pixel see them in turn."""
@@ -51,11 +50,8 @@ class DrawnScene:
         perforated = surfaces.materials["is_perforated"][surfaces.shapes["material"][surfaces.owner, 0]]
         return Caster(self._vertices, self._faces[chosen], perforated, is_hole)
 
-    def shader(self, centre: Hits) -> Shader:
-        """Every sample has its own light; that of the centre is not needed."""
-        return self._shade
-
-    def _shade(self, hits: Hits, pixel: float, sample: int) -> Float[np.ndarray, "rays 3"]:
+    def shade(self, hits: Hits, pixel: float, sample: int) -> Float[np.ndarray, "rays 3"]:
+        """Colours as of :data:`omnisyn_cli.scenes.mesh.render.Shader`; every sample has its own light."""
         directions, sun = hits.directions, self._suns[sample % len(SUN_POINTS)]
         points = np.where(hits.is_hit[:, None], hits.points, 0.0)
         starts, normals, colours = np.empty_like(points), np.zeros_like(points), np.empty_like(points)
@@ -82,9 +78,8 @@ def render_panorama(
     ``pose`` is world from camera and ``size`` (height, width). A pixel has ``supersample``² colour samples. The result
     does not depend on ``threads`` (None: one per core).
     """
-    images, depths = render_views(
-        scene, pose.rotation, pose.position[None], size, supersample=supersample, threads=threads
-    )
+    positions = pose.position[None]
+    images, depths = render_views(scene, pose.rotation, positions, size, supersample=supersample, threads=threads)
     return images[0], depths[0]
 
 
@@ -98,7 +93,8 @@ def render_views(
     """
     if min(size) < 1 or supersample < 1:
         raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
-    views = [render(_drawn(scene), Pose(rotation, position), size, supersample, threads) for position in positions]
+    drawn, poses = _drawn(scene), [Pose(rotation, position) for position in positions]
+    views = [render(drawn.caster, lambda _: drawn.shade, pose, size, supersample, threads) for pose in poses]
     images, depths = zip(*views, strict=True)
     return np.stack(images), np.stack(depths)
 

@@ -1,6 +1,13 @@
-"""Where cameras go: straight lines through free space."""
+"""Where cameras go: straight lines through free space; and the standard evaluation set of such walks.
+
+The set has streets and rooms from fixed seeds, each walked 1, 2, 4 and 6 metres. All baselines of a scene begin at the
+same first panorama and go the same way, so that figures differ by the distance and by nothing else. Poses are rounded
+so far that they are the same numbers on every machine.
+"""
 
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +15,9 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes.panorama import trace_rays
+from omnisyn_cli.scenes.room import room
 from omnisyn_cli.scenes.scene import Scene, Walkway
+from omnisyn_cli.scenes.street import street
 
 _MAX_ATTEMPTS = 400
 """Paths that are drawn before a scene has no room for one. Set by hand."""
@@ -29,22 +38,12 @@ A quantile instead of the minimum: one twig beside the camera does not shorten t
 def sample_path(
     scene: Scene, seed: int, frames: int, *, baseline: float | None = None, vertical: float = 0.05, tilt: float = 0.0
 ) -> list[Pose]:
-    """Draw a straight path of cameras that keep clear of everything.
+    """Draw a straight path of cameras that keep clear of everything; the first and the last pose are its ends.
 
-    Args:
-        scene: where.
-        seed: equal seeds give equal paths.
-        frames: number of poses, evenly spaced; at least 1.
-        baseline: metres from the first to the last; None = what is usual in the scene.
-        vertical: share of paths that go straight up.
-        tilt: standard deviation in radians of each frame's pitch and roll; above 0 every frame also gets its own
-            heading.
-
-    Returns:
-        Poses, the first and last being the ends. The heading is random.
-
-    Raises:
-        ValueError: there is no room for such a path.
+    Equal seeds give equal paths. The frames, at least 1, are evenly spaced; their heading is random. ``baseline`` is
+    metres from the first to the last; None = what is usual in the scene. ``vertical`` is the share of paths that go
+    straight up, ``tilt`` the standard deviation in radians of each frame's pitch and roll; above 0 every frame also
+    gets its own heading. ValueError: there is no room for such a path.
     """
     if frames < 1:
         raise ValueError(f"expected at least 1 frame, got {frames}")
@@ -133,3 +132,69 @@ def _draw_rotation(rng: np.random.Generator, heading: float, tilt: float) -> Flo
     if tilt <= 0.0:
         return rotation_from_heading(heading)
     return rotation_from_heading(rng.uniform(-math.pi, math.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
+
+
+STANDARD_KINDS = ("street", "room")
+"""Generators of the standard set; others may come, these stay what they are."""
+
+SUITE_SEEDS = (9_000_001, 9_000_002)
+"""Far beyond those that networks are trained with."""
+
+BASELINES = (1.0, 2.0, 4.0, 6.0)
+"""Metres from the first to the last panorama, ascending."""
+
+FRAMES_PER_WALK = 5
+"""Two inputs, and three true frames at equal distances between them."""
+
+POSITION_DECIMALS = 6
+"""Decimals of the ends in metres: micrometres, far coarser than the arithmetic of two machines may differ."""
+
+
+@dataclass(frozen=True)
+class SuiteScene:
+    """One walk: generator of the scene, seed of scene and path, metres from the first panorama to the last.
+
+    The path has the poses of all panoramas in walking order; it is empty where the scene has no room for this baseline.
+    """
+
+    kind: str
+    seed: int
+    baseline: float
+    path: tuple[Pose, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.kind}-{self.seed}-{self.baseline:g}m"
+
+
+def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = SUITE_SEEDS) -> Iterator[SuiteScene]:
+    """All walks, those of a scene from the shortest on."""
+    for kind in kinds:
+        for seed in seeds:
+            longest = longest_path({"street": street, "room": room}[kind](seed), seed)
+            for baseline in BASELINES:
+                yield SuiteScene(kind, seed, baseline, tuple(_evenly_spaced(longest, baseline)))
+
+
+def longest_path(scene: Scene, seed: int) -> tuple[Pose, ...]:
+    """Both ends of the longest free way that is one of :data:`BASELINES`; none where even the shortest is not free."""
+    for baseline in reversed(BASELINES):
+        try:
+            ends = sample_path(scene, seed, 2, baseline=baseline, vertical=0.0)
+        except ValueError:
+            continue
+        return tuple(Pose(np.round(end.rotation, 12), np.round(end.position, POSITION_DECIMALS)) for end in ends)
+    return ()
+
+
+def _evenly_spaced(longest: tuple[Pose, ...], baseline: float) -> Iterator[Pose]:
+    """Poses evenly spaced over the first metres of a way; none where it is shorter."""
+    if not longest:
+        return
+    way = longest[1].position - longest[0].position
+    length = float(np.linalg.norm(way))
+    if baseline > length + 10**-POSITION_DECIMALS:
+        return
+    for share in np.linspace(0.0, baseline / length, FRAMES_PER_WALK):
+        yield Pose(longest[0].rotation, np.round(longest[0].position + share * way, POSITION_DECIMALS))

@@ -62,9 +62,8 @@ GROUND_PATTERNS = (Pattern.ROAD, Pattern.GRASS)
 class Photos(NamedTuple):
     """Photographs with their mip levels; a tuple, for the kernels.
 
-    Attributes:
-        texels: of all levels of all photographs, one after the other, row after row; sRGB.
-        levels: of each photograph and level, the first texel, height and width; level k is half of level k − 1.
+    ``texels`` are those of all levels of all photographs, one after the other, row after row; sRGB. ``levels``: of each
+    photograph and level, the first texel, height and width; level k is half of level k − 1.
     """
 
     texels: UInt8[np.ndarray, "texels 3"]

@@ -6,10 +6,9 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, plant_material, random_material, tonal_material
+from omnisyn_cli.scenes.materials import Material, Pattern, random_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Shape
 
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)
@@ -23,7 +22,7 @@ TAIL_LIGHT = Material(Pattern.PLAIN, (0.50, 0.05, 0.05), gloss=0.6, grain=0.0)
 def _leaves(rng: np.random.Generator, openness: float, size: float) -> Material:
     green = pick(rng, palette.FOLIAGE, 0.08)
     seed = int(rng.integers(1, 1000))
-    return plant_material(Pattern.LEAVES, green, 0.62, 1.3, cell=(size, size), detail=openness, seed=seed)
+    return tonal_material(Pattern.LEAVES, green, 1.3, first=0.62, cell=(size, size), detail=openness, seed=seed)
 
 
 def tree(build: SceneBuilder, base: Point, height: float) -> None:
@@ -69,9 +68,8 @@ def bush(build: SceneBuilder, base: Point, radius: float) -> None:
     """Add a low clump of leaves."""
     centre = (base[0], base[1] + 0.5 * radius, base[2])
     build.add(Shape.ELLIPSOID, centre, (radius, 0.8 * radius, radius), _leaves(build.rng, 0.4, 0.15))
-    build.add(
-        Shape.ELLIPSOID, centre, (0.8 * radius, 0.62 * radius, 0.8 * radius), _leaves(build.rng, 0.0, 0.15), tint=0.7
-    )
+    core = (0.8 * radius, 0.62 * radius, 0.8 * radius)
+    build.add(Shape.ELLIPSOID, centre, core, _leaves(build.rng, 0.0, 0.15), tint=0.7)
 
 
 def hedge(build: SceneBuilder, base: Point, half: tuple[float, float]) -> None:

@@ -1,19 +1,37 @@
-"""Rooms: one to three in a row with real openings between them and to the outside."""
+"""Rooms in a row and homes on a grid, with real openings between them and to the outside.
+
+Homes have walls with little texture, and cameras close to the furniture.
+"""
 
 import itertools
 import math
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
-from omnisyn_cli.scenes import palette, props
+from omnisyn_cli.scenes import furniture, palette, props
 from omnisyn_cli.scenes.buildings import office
-from omnisyn_cli.scenes.daylight import daylight, sun_at
 from omnisyn_cli.scenes.furnishing import furnish
-from omnisyn_cli.scenes.materials import Pattern, plant_material
+from omnisyn_cli.scenes.materials import Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Walkway
-from omnisyn_cli.scenes.walls import WALLS, Cell, Opening, Openings, add_room_shell
+from omnisyn_cli.scenes.scene import Lighting, LocalFrame, Scene, SceneBuilder, Walkway, daylight, sun_at, times
+from omnisyn_cli.scenes.walls import WALLS, Cell, Opening, Openings, add_room_shell, low_texture_finish
+
+EXTRAS = (
+    furniture.kitchen_unit, furniture.tripod, furniture.chair, furniture.armchair, furniture.plant,
+    furniture.floor_lamp, furniture.table, furniture.shelf,
+)  # fmt: skip
+"""What stands around in the room that is looked at most."""
+
+BASELINE_RANGE = (0.25, 8.0)
+"""Shortest and longest distance between the first and the last camera, metres."""
+
+MAX_BASELINE_IN_DEPTHS = 3.0
+"""Longest baseline, in multiples of the depth of the nearest surface."""
+
+Grid = dict[tuple[int, int], tuple[Cell, Openings]]
+"""Rooms with their openings by column and row."""
 
 
 def room(seed: int) -> Scene:
@@ -22,13 +40,34 @@ def room(seed: int) -> Scene:
     use = str(rng.choice(["home", "office"], p=[0.48, 0.52]))
     cells = _draw_cells(rng, 7.0 if use == "home" else 11.0)
     lamp_lit = bool(rng.random() < 0.55)
-    build = SceneBuilder(rng, lighting=indoor_light(rng, lamp_lit=lamp_lit))
-    add_outdoors(build, rng.uniform(-12, -0.4) if rng.random() < 0.4 else -0.3)
+    build = SceneBuilder(rng, lighting=_indoor_light(rng, lamp_lit=lamp_lit))
+    _add_outdoors(build, rng.uniform(-12, -0.4) if rng.random() < 0.4 else -0.3)
     for cell, openings in zip(cells, _draw_openings(rng, cells), strict=True):
         add_room_shell(build, cell, openings, use, casts_shadow=not lamp_lit)
         furnish(build, cell, use, openings)
-        add_walkway(build, cell, 0.45, (1.05, min(2.3, cell.height - 0.5)), (0.3, 2.5), 0.22)
+        _add_walkway(build, cell, 0.45, (1.05, min(2.3, cell.height - 0.5)), (0.3, 2.5), 0.22)
     return build.build("room")
+
+
+def home(seed: int) -> Scene:
+    """Generate a home; equal seeds give equal homes."""
+    rng = np.random.default_rng([17, seed])
+    build = SceneBuilder(rng, lighting=_indoor_light(rng, lamp_lit=bool(rng.random() < 0.6)))
+    _add_outdoors(build, -0.3)
+    rooms = _floor_plan(rng)
+    visited = list(rooms)[rng.integers(len(rooms))]
+    for place, (cell, openings) in rooms.items():
+        use = "office" if rng.random() < 0.2 else "home"
+        add_room_shell(build, cell, openings, use, casts_shadow=False, finish=low_texture_finish)
+        near = abs(place[0] - visited[0]) + abs(place[1] - visited[1])
+        if near < 2:  # what is farther shows through doors of doors
+            furnish(build, cell, use, openings, EXTRAS if near == 0 else ())
+            heights = (rng.uniform(0.6, 1.3), min(2.1, cell.height - 0.3))
+            _add_walkway(build, cell, 0.4, heights, BASELINE_RANGE, 0.2, MAX_BASELINE_IN_DEPTHS, slope=0.12)
+        if near == 0 and rng.random() < 0.5:
+            x, z = rng.uniform(cell.low, cell.high)
+            furniture.chandelier(LocalFrame(build, (x, cell.height, z), 0.0))
+    return build.build("home")
 
 
 def _draw_cells(rng: np.random.Generator, largest: float) -> list[Cell]:
@@ -46,17 +85,15 @@ def _draw_cells(rng: np.random.Generator, largest: float) -> list[Cell]:
     return cells
 
 
-def indoor_light(rng: np.random.Generator, *, lamp_lit: bool) -> Lighting:
+def _indoor_light(rng: np.random.Generator, *, lamp_lit: bool) -> Lighting:
     """Light from the ceiling, or daylight through the windows; the picture of the sky is that of some day."""
     day = daylight(rng)
     warmth = rng.uniform(0.0, 1.0)
     tone = (1.0, 0.97 - 0.1 * warmth, 0.95 - 0.28 * warmth)
-    level = rng.uniform(0.32, 0.55)
-    sky = (level * tone[0], level * tone[1], level * tone[2])
+    sky = times(tone, rng.uniform(0.32, 0.55))
     bounce = (0.85 * sky[0], 0.82 * sky[1], 0.77 * sky[2])
     if lamp_lit:
-        strength = rng.uniform(0.35, 0.9)
-        sun = (strength * tone[0], strength * tone[1], strength * tone[2])
+        sun = times(tone, rng.uniform(0.35, 0.9))
         direction, softness = sun_at(rng.uniform(0, 2 * math.pi), rng.uniform(1.15, 1.5)), rng.uniform(0.06, 0.2)
     else:
         direction, softness = sun_at(rng.choice([0.0, math.pi]) + rng.normal(0, 0.5), rng.uniform(0.35, 0.9)), 0.008
@@ -65,12 +102,13 @@ def indoor_light(rng: np.random.Generator, *, lamp_lit: bool) -> Lighting:
     return day._replace(haze=0.0, exposure=rng.uniform(1.2, 1.9))
 
 
-def add_outdoors(build: SceneBuilder, level: float) -> None:
+def _add_outdoors(build: SceneBuilder, level: float) -> None:
     """Add the ground outside, and buildings and trees in view of the windows."""
     rng = build.rng
     green = pick(rng, palette.FOLIAGE)
     build.ground = (0.0, 1.0, 0.0, level)
-    build.ground_material = plant_material(Pattern.GRASS, green, 0.85, 1.25, third=(0.5, 0.47, 0.35), detail=0.4)
+    grass = tonal_material(Pattern.GRASS, green, 1.25, first=0.85, detail=0.4)
+    build.ground_material = grass._replace(third=(0.5, 0.47, 0.35))
     for side in (-1.0, 1.0):
         for _ in range(int(rng.integers(1, 4))):
             x, z = rng.uniform(-25, 25), side * rng.uniform(16, 45)
@@ -87,17 +125,17 @@ def _draw_openings(rng: np.random.Generator, cells: Sequence[Cell]) -> list[Open
     openings: list[Openings] = [{name: [] for name in WALLS} for _ in cells]
     for (left, west), (right, east) in itertools.pairwise(zip(cells, openings, strict=True)):
         low, high = max(left.low[1], right.low[1]) + 0.3, min(left.high[1], right.high[1]) - 0.3
-        door = draw_door(rng, low, high, left.height)
+        door = _draw_door(rng, low, high, left.height)
         west["east"].append(door)
         east["west"].append(door)
     for cell, walls in zip(cells, openings, strict=True):
         for name in ("south", "north"):
             if rng.random() < 0.65:
-                walls[name] = draw_windows(rng, cell.low[0], cell.high[0], cell.height)
+                walls[name] = _draw_windows(rng, cell.low[0], cell.high[0], cell.height)
     return openings
 
 
-def draw_door(rng: np.random.Generator, low: float, high: float, room_height: float) -> Opening:
+def _draw_door(rng: np.random.Generator, low: float, high: float, room_height: float) -> Opening:
     """A doorway somewhere between two places along a wall."""
     width = min(float(rng.choice([0.85, 1.2, 2.4])), high - low)
     middle = rng.uniform(low + 0.5 * width, high - 0.5 * width + 1e-9)
@@ -105,7 +143,7 @@ def draw_door(rng: np.random.Generator, low: float, high: float, room_height: fl
     return Opening(middle - 0.5 * width, middle + 0.5 * width, 0.0, height)
 
 
-def draw_windows(rng: np.random.Generator, low: float, high: float, room_height: float) -> list[Opening]:
+def _draw_windows(rng: np.random.Generator, low: float, high: float, room_height: float) -> list[Opening]:
     """A row of equal windows along a wall."""
     length = high - low
     width = min(rng.uniform(0.8, 2.4), length - 0.8)
@@ -117,14 +155,39 @@ def draw_windows(rng: np.random.Generator, low: float, high: float, room_height:
     return [Opening(m - 0.5 * width, m + 0.5 * width, sill, head) for m in middles]
 
 
-def add_walkway(
+def _add_walkway(
     build: SceneBuilder, cell: Cell, margin: float, heights: tuple[float, float], baselines: tuple[float, float],
     clearance: float, max_baseline_in_depths: float | None = None, slope: float = 0.02,
 ) -> None:  # fmt: skip
     """Let cameras stand in a room, at heights above its floor; arguments as of :class:`Walkway`."""
-    low, high = ((x, height - build.ground[3], z) for (x, z), height in zip(_inner(cell, margin), heights, strict=True))
+    level = build.ground[3]
+    low = (cell.low[0] + margin, heights[0] - level, cell.low[1] + margin)
+    high = (cell.high[0] - margin, heights[1] - level, cell.high[1] - margin)
     build.walkways.append(Walkway(low, high, (0.0, 0.0), baselines, clearance, max_baseline_in_depths, slope))
 
 
-def _inner(cell: Cell, margin: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    return (cell.low[0] + margin, cell.low[1] + margin), (cell.high[0] - margin, cell.high[1] - margin)
+def _floor_plan(rng: np.random.Generator) -> Grid:
+    """Two to six rooms on a grid, most neighbours joined by a door, most outer walls with windows."""
+    height = rng.uniform(2.3, 3.1)
+    xs, zs = (np.cumsum(rng.uniform(2.3, 5.5, rng.integers(2, most))) for most in (5, 4))
+    xs, zs = xs - xs.mean(), zs - zs.mean()
+    rooms: Grid = {
+        (i, j): (
+            Cell((xs[i], zs[j]), (xs[i + 1], zs[j + 1]), height),
+            {"west": [], "east": [], "south": [], "north": []},
+        )
+        for i, j in product(range(len(xs) - 1), range(len(zs) - 1))
+    }
+    for (i, j), (cell, openings) in rooms.items():
+        for axis, ahead, behind, after, before in (
+            (1, "east", "west", (i + 1, j), (i - 1, j)), (0, "north", "south", (i, j + 1), (i, j - 1)),
+        ):  # fmt: skip
+            low, high = cell.low[axis], cell.high[axis]
+            if after in rooms and rng.random() < 0.85:
+                door = _draw_door(rng, low + 0.3, high - 0.3, height)
+                openings[ahead].append(door)
+                rooms[after][1][behind].append(door)
+            for wall, other in ((ahead, after), (behind, before)):
+                if other not in rooms and rng.random() < 0.6:
+                    openings[wall] = _draw_windows(rng, low, high, height)
+    return rooms

@@ -1,23 +1,100 @@
-"""A scene as arrays: shapes, materials, a ground, a sky, a sun and lamps.
+"""A scene as arrays: shapes and their triangles, materials, a ground, a sky, a sun and lamps.
 
-The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape in a
-box of half sizes ``half`` that is rotated and moved. A generator collects the shapes in a :class:`SceneBuilder`.
+The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape,
+which fills the cube [-1, 1]³ as far as it can, in a box of half sizes ``half`` that is rotated and moved. A generator
+collects the shapes in a :class:`SceneBuilder`.
 """
 
 import math
 from dataclasses import dataclass, field
+from enum import IntEnum
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32, Int32, Int64
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material, pack_materials
-from omnisyn_cli.scenes.palette import Colour
+from omnisyn_cli.scenes.palette import Colour, mixed
 from omnisyn_cli.scenes.photos import NO_PHOTOS, Photos
-from omnisyn_cli.scenes.solids import PACKED_SHAPE, Shape
 
 Point = tuple[float, float, float]
+
+SEGMENTS = 24
+"""Around what is round; a radius is at most 0.9 % too short between them."""
+
+
+class Shape(IntEnum):
+    """Of what kind a shape is; the axes of cylinder and cone are the local y."""
+
+    BOX = 0
+    ELLIPSOID = 1
+    CYLINDER = 2
+    CONE = 3
+
+
+PACKED_SHAPE = np.dtype([
+    ("kind", "i8"), ("centre", "f8", 3), ("rotation", "f8", (3, 3)), ("half", "f8", 3), ("material", "i8", 2),
+    ("tint", "f8"), ("casts_shadow", "?"), ("variation", "i8"),
+])  # fmt: skip
+"""One shape of a scene.
+
+``rotation`` is world from local, ``half`` the half sizes in metres. ``material`` has the rows of the materials of the
+sides and of the faces up and down (of boxes, cylinders and cones). ``tint`` is a factor on the colours, ``variation``
+makes two shapes of one material differ.
+"""
+
+
+def _box() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    quads = np.array([(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)])
+    return corners, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), np.repeat([0, 1, 2], 4)
+
+
+def _lathe(radii: np.ndarray, heights: np.ndarray, axes: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rings around y from the bottom to the top, and the axes of what lies between them."""
+    angle = 2.0 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    x, z, y = radii[:, None] * np.sin(angle), radii[:, None] * np.cos(angle), np.repeat(heights, SEGMENTS)
+    ring = np.arange(len(radii) * SEGMENTS).reshape(-1, SEGMENTS)
+    a, b, c, d = ring[:-1], np.roll(ring, -1, axis=1)[:-1], ring[1:], np.roll(ring, -1, axis=1)[1:]
+    faces = np.stack([a, b, d, a, d, c], axis=-1).reshape(-1, 3)
+    return np.stack([x.ravel(), y, z.ravel()], axis=1), faces, np.repeat(axes, 2 * SEGMENTS)
+
+
+_LATITUDES = np.linspace(np.pi, 0.0, SEGMENTS // 2 + 1)
+
+UNIT_SHAPES = {
+    Shape.BOX: _box(),
+    Shape.ELLIPSOID: _lathe(np.sin(_LATITUDES), np.cos(_LATITUDES), [0] * (SEGMENTS // 2)),
+    Shape.CYLINDER: _lathe(np.array([0.0, 1.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0, 1.0]), [1, 0, 1]),
+    Shape.CONE: _lathe(np.array([0.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0]), [1, 0]),
+}
+"""Vertices, faces and the axis of each face: the local axis that it faces, 1 up and down; 0 where it is curved."""
+
+
+def triangles(
+    shapes: np.ndarray,
+) -> tuple[
+    Float32[np.ndarray, "vertices 3"], Int32[np.ndarray, "faces 3"],
+    Int64[np.ndarray, " faces"], Int64[np.ndarray, " faces"],
+]:  # fmt: skip
+    """Vertices (metres) and faces of records of :data:`PACKED_SHAPE`, and the shape and the axis of each face."""
+    vertices, faces, owners, axes, count = [], [], [], [], 0
+    for kind, (corners, corner_faces, face_axes) in UNIT_SHAPES.items():
+        members = np.flatnonzero(shapes["kind"] == kind)
+        of_kind = shapes[members]
+        placed = (corners * of_kind["half"][:, None]) @ np.swapaxes(of_kind["rotation"], 1, 2)
+        vertices.append((placed + of_kind["centre"][:, None]).reshape(-1, 3))
+        first = count + len(corners) * np.arange(len(members))
+        faces.append((corner_faces + first[:, None, None]).reshape(-1, 3))
+        owners.append(np.repeat(members, len(corner_faces)))
+        axes.append(np.tile(face_axes, len(members)))
+        count += vertices[-1].shape[0]
+    joined = (np.concatenate(parts) for parts in (vertices, faces, owners, axes))
+    points, corners, owner, axis = joined
+    return points.astype(np.float32), corners.astype(np.int32), owner, axis
+
 
 GROUND_REACH = 1000.0
 """Metres from the origin to the edge of the ground."""
@@ -84,12 +161,10 @@ class Scene:
 
     Attributes:
         kind: name of the generator.
-        shapes: records of :data:`omnisyn_cli.scenes.solids.PACKED_SHAPE`; the first is the ground.
+        shapes: records of :data:`omnisyn_cli.scenes.scene.PACKED_SHAPE`; the first is the ground.
         materials: records of :data:`omnisyn_cli.scenes.materials.PACKED_MATERIAL`.
         ground: unit normal and offset of the plane ``normal · x = offset``.
         lamps: position and linear colour of lamps without shadows.
-        lighting: sun and sky.
-        walkways: where cameras may stand.
         photos: photographs that some materials show.
     """
 
@@ -203,3 +278,37 @@ class LocalFrame:
     def ellipsoid(self, centre: Point, half: Point, material: Material) -> None:
         """Add an ellipsoid."""
         self.build.add(Shape.ELLIPSOID, self.place(*centre), half, material, yaw=self.yaw)
+
+
+def sun_at(bearing: float, elevation: float) -> Point:
+    """Unit vector to a sun at a height above the horizon (radians); the bearing turns it about the vertical."""
+    flat = math.cos(elevation)
+    return flat * math.sin(bearing), math.sin(elevation), flat * math.cos(bearing)
+
+
+def daylight(rng: np.random.Generator) -> Lighting:
+    """Draw a day: clear, cloudy or overcast, at any hour."""
+    cover = float(rng.choice([0.15, 0.4, 0.6, 0.95], p=[0.2, 0.3, 0.25, 0.25])) + rng.uniform(-0.1, 0.05)
+    elevation = rng.uniform(0.25, 1.25)
+    warmth = max(0.0, 1.0 - elevation / 0.8)
+    direct = max(0.0, 1.0 - max(0.0, cover - 0.55) * 2.4)
+    sun = times((1.0, 0.93 - 0.18 * warmth, 0.82 - 0.38 * warmth), direct * rng.uniform(1.9, 2.6))
+    grey = min(1.0, cover)
+    fill = 0.75 + 0.55 * grey
+    sky = times(mixed((0.50, 0.62, 0.82), (0.80, 0.82, 0.85), grey), fill)
+    bounce = times(mixed((0.42, 0.38, 0.33), (0.45, 0.45, 0.45), grey), 0.55 * fill)
+    blue = rng.uniform(0.85, 1.2)
+    zenith = mixed((0.13 * blue, 0.30 * blue, 0.62), (0.42, 0.48, 0.56), 0.5 * grey)
+    horizon = mixed(mixed((0.62, 0.74, 0.86), (0.95, 0.76, 0.56), 0.6 * warmth), (0.78, 0.80, 0.83), grey)
+    return Lighting(
+        sun_direction=sun_at(rng.uniform(0, 2 * math.pi), elevation), sun=sun, sky=sky, bounce=bounce,
+        softness=0.006 + 0.05 * max(0.0, cover - 0.5), zenith=times(zenith, 1.25), horizon=times(horizon, 1.35),
+        cloud=times(mixed((1.0, 0.98, 0.95), (0.8, 0.82, 0.85), grey), rng.uniform(1.3, 1.9)), cloud_cover=cover,
+        cloud_scale=float(rng.uniform(0.35, 1.1)), haze=float(rng.choice([0.0004, 0.001, 0.003], p=[0.5, 0.35, 0.15])),
+        exposure=float(rng.uniform(0.85, 1.35)) * (1.0 + 0.25 * (1.0 - direct)), seed=int(rng.integers(1, 1000)),
+    )  # fmt: skip
+
+
+def times(colour: Colour, factor: float) -> Colour:
+    """Light times a factor; other than colours of surfaces it may exceed 1."""
+    return colour[0] * factor, colour[1] * factor, colour[2] * factor

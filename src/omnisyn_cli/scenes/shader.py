@@ -8,7 +8,7 @@ import numpy as np
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
 from omnisyn_cli.scenes.photos import PhotoMapping
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import Shape
 from omnisyn_cli.scenes.textures import FacePoint, is_hole, pattern_at
 
 PATCHES_PER_PHOTO = 0.6
@@ -22,12 +22,9 @@ SHADOW_RAY_OFFSET = 1e-3
 
 
 class Surfaces(NamedTuple):
-    """What kernels know of the triangles of a scene.
+    """What kernels know of the triangles of a scene: its shapes and materials, and the shape of each face.
 
-    Attributes:
-        shapes, materials: of the scene.
-        owner: shape of each face.
-        axis: of each face, see :data:`omnisyn_cli.scenes.solids.UNIT_SHAPES`.
+    For the axis of each face see :data:`omnisyn_cli.scenes.scene.UNIT_SHAPES`.
     """
 
     shapes: np.ndarray
@@ -161,12 +158,8 @@ def _mixed(first, second, share):  # type: ignore[no-untyped-def]
 @fast_subkernel
 def photo_at(photos, material, point, footprint):  # type: ignore[no-untyped-def]
     """Linear colour of the photograph on a material at a :class:`FacePoint`; the footprint is in metres."""
-    texels, levels, seed, width = (
-        photos.texels,
-        photos.levels[material.photo],
-        material.photo_seed,
-        material.photo_width,
-    )
+    texels, levels = photos.texels, photos.levels[material.photo]
+    seed, width = material.photo_seed, material.photo_width
     rows, columns = levels[0, 1], levels[0, 2]
     u, v = point.u, point.v
     if material.photo_mapping == PhotoMapping.FITTED:
@@ -274,14 +267,9 @@ def _shade(scene, shape, axis, sun, ray, normal, sunlit, pixel):  # type: ignore
 def shade_rays(scene, sun, hits, normals, sunlit, pixel, colours):  # type: ignore[no-untyped-def]
     """Fill the colours, (n, 3) in [0, 1], of rays.
 
-    Args:
-        scene: its ``(surfaces, photos, lighting, lamps)``.
-        sun: unit vector to the point of the sun that shines.
-        hits: of all rays ``(points, directions, face, distance)``.
-        normals: towards the origins of the rays.
-        sunlit: cosine under which each point sees the sun, 0 in the shadow.
-        pixel: angle between neighbouring samples in radians.
-        colours: the result.
+    ``scene``: its ``(surfaces, photos, lighting, lamps)``. ``sun``: unit vector to the point of the sun that shines.
+    ``hits``: of all rays ``(points, directions, face, distance)``. Normals look towards the origins of the rays.
+    ``sunlit``: cosine under which each point sees the sun, 0 in the shadow. ``pixel``: radians between samples.
     """
     points, directions, face, distance = hits
     surfaces, _, light, _ = scene

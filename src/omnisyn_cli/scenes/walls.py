@@ -1,4 +1,4 @@
-"""The shell of a room: floor, ceiling, and walls with real openings, each wall a row of slabs."""
+"""The shell of a room and its materials: floor, ceiling, and walls with real openings, each wall a row of slabs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,72 @@ from dataclasses import dataclass
 import numpy as np
 
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.finishes import floor_finish, wall_finish
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder
-from omnisyn_cli.scenes.solids import Shape
+from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder, Shape
+
+
+def wall_finish(rng: np.random.Generator, use: str) -> Material:
+    """Draw paint, wallpaper, brick, boards or sheets for a wall; ``use`` is "home" or "office"."""
+    tone = pick(rng, palette.INTERIOR)
+    seed = int(rng.integers(1, 1000))
+    kind = rng.random()
+    if use == "home" and kind < 0.3:
+        return Material(
+            Pattern.WALLPAPER, tone, palette.scaled(tone, rng.uniform(0.75, 1.12)),
+            palette.mixed(tone, pick(rng, palette.CLOTH), 0.4), cell=(rng.uniform(0.12, 0.5), rng.uniform(0.15, 0.5)),
+            grain=0.03, seed=seed,
+        )  # fmt: skip
+    if kind < 0.4:
+        brick = pick(rng, palette.BRICK) if rng.random() < 0.5 else tone
+        return tonal_material(Pattern.BRICK, brick, 0.8, 1.25, cell=(0.25, 0.08), line=0.011, grain=0.12, seed=seed)
+    if kind < 0.5:
+        return Material(
+            Pattern.PLANKS, pick(rng, palette.WOOD), pick(rng, palette.WOOD), (0.15, 0.1, 0.07), cell=(3.0, 0.14),
+            line=0.006, grain=0.05, seed=seed,
+        )  # fmt: skip
+    return tonal_material(
+        Pattern.PLAIN, tone, rng.uniform(0.78, 0.97), grain=rng.uniform(0.02, 0.1), grain_size=rng.uniform(0.5, 3.0),
+        detail=rng.uniform(0.2, 0.6), seed=seed,
+    )  # fmt: skip
+
+
+def floor_finish(rng: np.random.Generator) -> Material:
+    """Draw boards, tiles or carpet for a floor."""
+    seed = int(rng.integers(1, 1000))
+    kind = rng.random()
+    if kind < 0.45:
+        tone = pick(rng, palette.WOOD)
+        return tonal_material(
+            Pattern.PLANKS, tone, 0.75, 0.4, cell=(rng.uniform(0.6, 2.2), rng.uniform(0.07, 0.2)), line=0.005,
+            grain=0.06, gloss=0.35, seed=seed,
+        )  # fmt: skip
+    if kind < 0.7:
+        tone = pick(rng, palette.PAVING if rng.random() < 0.5 else palette.INTERIOR)
+        other = palette.scaled(tone, rng.uniform(0.4, 0.95))
+        pattern = Pattern.CHECKER if rng.random() < 0.3 else Pattern.TILES
+        side = rng.uniform(0.2, 0.6)
+        return Material(
+            pattern, tone, other, palette.scaled(tone, 0.6), cell=(side, side), line=0.008, grain=0.07, gloss=0.45,
+            detail=0.3, seed=seed,
+        )  # fmt: skip
+    tone = pick(rng, palette.CLOTH)
+    grain_size = rng.choice([0.05, 0.3])
+    return tonal_material(Pattern.PLAIN, tone, 0.8, grain=0.2, grain_size=grain_size, detail=0.4, seed=seed)
+
+
+def low_texture_finish(rng: np.random.Generator, use: str) -> Material:
+    """Draw paint with hardly any texture to match, for most walls; arguments as of :func:`wall_finish`."""
+    if rng.random() < 0.3:
+        return wall_finish(rng, use)
+    tone = pick(rng, palette.INTERIOR)
+    return tonal_material(
+        Pattern.PLAIN, tone, rng.uniform(0.96, 1.0), grain=rng.uniform(0.0, 0.015), grain_size=rng.uniform(0.3, 4.0),
+        detail=rng.uniform(0.0, 0.4), gloss=rng.uniform(0.05, 0.3) if rng.random() < 0.3 else 0.0,
+        seed=int(rng.integers(1, 1000)),
+    )  # fmt: skip
+
 
 SLAB_THICKNESS = 0.06
 """Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""
@@ -49,8 +109,8 @@ def add_room_shell(
 ) -> None:  # fmt: skip
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
-    ``use`` is "home" or "office". The ceiling stops the light from above if it ``casts_shadow``. ``finish``
-    draws the material of walls, as :func:`omnisyn_cli.scenes.finishes.wall_finish` does.
+    ``use`` is "home" or "office". The ceiling stops the light from above if it ``casts_shadow``. ``finish`` draws the
+    material of walls, as :func:`wall_finish` does.
     """
     rng = build.rng
     paint = finish(rng, use)
@@ -101,9 +161,8 @@ def _ceiling_lamp(build: SceneBuilder, cell: Cell) -> None:
     drop = rng.uniform(0.2, 0.7)
     kind = rng.random()
     if kind < 0.4:
-        build.rod(
-            (x, cell.height - drop, z), (x, cell.height, z), 0.006, Material(Pattern.PLAIN, (0.1, 0.1, 0.1), grain=0.0)
-        )
+        cord = Material(Pattern.PLAIN, (0.1, 0.1, 0.1), grain=0.0)
+        build.rod((x, cell.height - drop, z), (x, cell.height, z), 0.006, cord)
         build.ball((x, cell.height - drop, z), rng.uniform(0.1, 0.2), shade)
     elif kind < 0.7:
         build.add(Shape.CYLINDER, (x, cell.height - 0.05, z), (0.22, 0.05, 0.22), shade)
@@ -177,17 +236,13 @@ def _window(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> Non
     inside = (wall[0], wall[1], wall[2] + 0.1 * inward, wall[3])
     if rng.random() < 0.35 and high < 3.0:
         tone = pick(rng, palette.CLOTH)
-        cloth = Material(
-            Pattern.RIBS, tone, palette.scaled(tone, 0.75), tone, cell=(0.09, 50.0), line=0.001, grain=0.08
-        )
+        cloth = tonal_material(Pattern.RIBS, tone, 0.75, 1.0, cell=(0.09, 50.0), line=0.001, grain=0.08)
         for edge, sign in ((a, -1.0), (b, 1.0)):
             start, end = sorted((edge + sign * 0.25, edge - sign * 0.22))
             _slab(build, inside, (start, end), (0.1, high + 0.12), 0.025, cloth)
     elif low > 0.6 and low < 1.3 and rng.random() < 0.5:
-        steel = Material(
-            Pattern.RIBS, (0.86, 0.86, 0.84), (0.72, 0.72, 0.7), (0.6, 0.6, 0.6), cell=(0.08, 9.0), line=0.01,
-            grain=0.03,
-        )  # fmt: skip
+        colours = (0.86, 0.86, 0.84), (0.72, 0.72, 0.7), (0.6, 0.6, 0.6)
+        steel = Material(Pattern.RIBS, *colours, cell=(0.08, 9.0), line=0.01, grain=0.03)
         _slab(build, inside, (a + 0.1, b - 0.1), (0.12, low - 0.12), 0.04, steel)
 
 
@@ -216,10 +271,8 @@ def _closed_door(build: SceneBuilder, cell: Cell, name: str) -> None:
     inward = 1.0 if name in ("west", "south") else -1.0
     wall = (low, high, across + 0.03 * inward, is_x)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
-    leaf = Material(
-        Pattern.WINDOW, tone, palette.scaled(tone, 0.9), tone, cell=(0.36, 9.0 if rng.random() < 0.3 else 0.7),
-        line=0.1, grain=0.08, gloss=0.15,
-    )  # fmt: skip
+    cell_size = (0.36, 9.0 if rng.random() < 0.3 else 0.7)
+    leaf = tonal_material(Pattern.WINDOW, tone, 0.9, 1.0, cell=cell_size, line=0.1, grain=0.08, gloss=0.15)
     trim = Material(Pattern.PLAIN, palette.scaled(tone, 0.8), grain=0.04)
     _slab(build, wall, (middle - 0.45, middle + 0.45), (0.0, top), 0.02, leaf)
     for edge in (middle - 0.48, middle + 0.48):

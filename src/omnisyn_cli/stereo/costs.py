@@ -40,11 +40,9 @@ INVALID_COST = np.float32(MAX_COST)
 
 
 class ColourCost(NamedTuple):
-    """How colours count beside the census.
+    """How colours count beside the census: their weight against it, in [0, 1].
 
-    Attributes:
-        weight: of colour differences against the census, in [0, 1].
-        scale: 1 / the sum of differences over three channels that costs 1.
+    ``scale``: 1 / the sum of differences over three channels that costs 1.
     """
 
     weight: np.float32
@@ -157,22 +155,14 @@ def is_textured(image: Float[np.ndarray, "height width 3"]) -> Bool[np.ndarray, 
 
 
 def cost_volume(
-    first: Float[np.ndarray, "height width 3"],
-    second: Float[np.ndarray, "height width 3"],
-    second_usable: Bool[np.ndarray, "height width"],
-    disparities: DisparityRange,
-    colour_weight: float,
+    first: Float[np.ndarray, "height width 3"], second: Float[np.ndarray, "height width 3"],
+    second_usable: Bool[np.ndarray, "height width"], disparities: DisparityRange, colour_weight: float,
     colour_truncation: float,
-) -> UInt16[np.ndarray, " costs"]:
+) -> UInt16[np.ndarray, " costs"]:  # fmt: skip
     """Cost in [0, 1] of every disparity of the ranges, fixed-point, flat as :class:`DisparityRange` says.
 
-    Args:
-        first: RGB.
-        second: RGB.
-        second_usable: where the second image may be matched.
-        disparities: what is tried.
-        colour_weight: weight of the absolute colour difference against the census, in [0, 1].
-        colour_truncation: the colour difference that costs 1.
+    Images are RGB, and ``second_usable`` says where the second one may be matched. Absolute colour differences count by
+    ``colour_weight`` in [0, 1] against the census; ``colour_truncation`` is the difference that costs 1.
     """
     own = ReferenceImage(first, census_transform(luminance_of(first)))
     other = CandidateImage(
@@ -180,14 +170,10 @@ def cost_volume(
         np.ascontiguousarray(census_transform(luminance_of(second)).T),
         np.ascontiguousarray(second_usable.T),
     )
-    cost, colour = (
-        np.empty(disparities.offsets[-1], np.uint16),
-        ColourCost.from_truncation(colour_weight, colour_truncation),
-    )
-    run_ranges(
-        partial(_fill_cost_volume, own, other, disparities.lowest, disparities.offsets, colour, cost),
-        len(disparities.lowest),
-    )
+    cost = np.empty(disparities.offsets[-1], np.uint16)
+    colour = ColourCost.from_truncation(colour_weight, colour_truncation)
+    fill = partial(_fill_cost_volume, own, other, disparities.lowest, disparities.offsets, colour, cost)
+    run_ranges(fill, len(disparities.lowest))
     return cost
 
 
@@ -221,14 +207,10 @@ def _to_fixed_point(cost):  # type: ignore[no-untyped-def]
 
 
 def surface_cost(
-    first: Float[np.ndarray, "height width 3"],
-    first_census: UInt64[np.ndarray, "height width"],
-    second: Float[np.ndarray, "height width 3"],
-    second_usable: Bool[np.ndarray, "height width"],
-    disparity: Float[np.ndarray, "height width"],
-    colour_weight: float,
-    colour_truncation: float,
-) -> Float[np.ndarray, "height width"]:
+    first: Float[np.ndarray, "height width 3"], first_census: UInt64[np.ndarray, "height width"],
+    second: Float[np.ndarray, "height width 3"], second_usable: Bool[np.ndarray, "height width"],
+    disparity: Float[np.ndarray, "height width"], colour_weight: float, colour_truncation: float,
+) -> Float[np.ndarray, "height width"]:  # fmt: skip
     """Cost in [0, 1] of one surface at every pixel.
 
     The second image is warped to the first one before windows are compared, so that they slant as the surface does.
@@ -242,17 +224,7 @@ def surface_cost(
 
 @kernel()
 def _surface_cost_rows(first, second, disparity, colour, cost, begin, end):  # type: ignore[no-untyped-def]
-    """Fills some rows of ``cost``.
-
-    Args:
-        first: the image that is compared.
-        second: the image that is warped to it.
-        disparity: rows; negative behind the camera.
-        colour: how colours count.
-        cost: written.
-        begin: first row.
-        end: the row after the last.
-    """
+    """Fills rows of ``cost``: ``second`` is warped by ``disparity`` (rows; negative behind the camera) to ``first``."""
     height, width = disparity.shape
     top, bottom = max(begin - CENSUS_RADIUS, 0), min(end + CENSUS_RADIUS, height)
     luminance = zeros((bottom - top, width + 2 * CENSUS_RADIUS), np.float32)  # 0 where the second image shows nothing
@@ -275,16 +247,10 @@ def _surface_cost_rows(first, second, disparity, colour, cost, begin, end):  # t
 
 @inlined()
 def _warp_row(own, second, disparity, row, luminance, difference, seen):  # type: ignore[no-untyped-def]
-    """Fills a row of the warped image.
+    """Fills a row of the warped image, by disparities in rows.
 
-    Args:
-        own: colours of the first image.
-        second: the image that is warped.
-        disparity: rows.
-        row: that is filled.
-        luminance: written, with columns from beyond the seam.
-        difference: written: of the colours; −1 where nothing is compared.
-        seen: written: the first column where something is compared, and the one after the last.
+    ``luminance`` gets columns from beyond the seam; ``difference`` is that of the colours, −1 where nothing is
+    compared; ``seen`` the first column where something is compared, and the one after the last.
     """
     height, width = second.usable.shape
     seen[0], seen[1] = width, 0

@@ -23,10 +23,7 @@ MIN_PARALLAX_ROWS = 1.5
 def dense_agreement(first: View, second: View, first_from_second: Pose) -> float:
     """Share of the texture of both panoramas, by solid angle, that has consistent matches with parallax.
 
-    Args:
-        first: the first panorama; its pose does not matter.
-        second: likewise.
-        first_from_second: the relative pose, of two different positions.
+    Their own poses do not matter; ``first_from_second`` is the relative pose, of two different positions.
     """
     posed = View(first.image, Pose.identity(), first.mask), View(second.image, first_from_second, second.mask)
     options = MatchingOptions(size=(2 * ROWS, 4 * ROWS))

@@ -5,8 +5,8 @@ Depths within a tolerance cost nothing, so that matching alone decides between t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt16
@@ -30,14 +30,11 @@ MIN_CONFIDENCE, FULL_COST_CONFIDENCE = 0.2, 0.4
 """Up to the first confidence nothing costs anything, from the second on the limit is full."""
 
 
-@dataclass(frozen=True)
-class DepthPrior:
-    """The depth that is expected of one panorama, in the frame of a camera or of a pair.
+class DepthPrior(NamedTuple):
+    """The depth that is expected of one panorama, in the frame of a camera or of a pair; all ``(height, width)``.
 
-    Attributes:
-        sqrt_inv_depth: ``(height, width)`` √(inverse depth × baseline).
-        tolerance: ``(height, width)`` what differs by less from it costs nothing.
-        confidence: ``(height, width)`` probability that depth is within 10 %.
+    √(inverse depth × baseline), what differs by less from it and costs nothing, and the probability that depth is
+    within 10 %.
     """
 
     sqrt_inv_depth: Float32[np.ndarray, "height width"]
@@ -46,7 +43,7 @@ class DepthPrior:
 
     def remapped(self, table: RemapTable) -> DepthPrior:
         """In another frame."""
-        return DepthPrior(*(table.bilinear(each) for each in self.maps))
+        return DepthPrior(*(table.bilinear(each) for each in self))
 
     def in_rows(self, grid: EpipolarGrid) -> DisparityPrior:
         """In rows of disparity, for maps in the frame of a pair."""
@@ -60,20 +57,11 @@ class DepthPrior:
         limit = np.float32(MAX_PRIOR_COST) * np.clip(sureness, 0.0, 1.0)
         return DisparityPrior(lower, upper, limit / below, limit / above, limit)
 
-    @property
-    def maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """All three."""
-        return self.sqrt_inv_depth, self.tolerance, self.confidence
 
+class DisparityPrior(NamedTuple):
+    """What disparities cost beside what is matched; all ``(height, width)``.
 
-@dataclass(frozen=True)
-class DisparityPrior:
-    """What disparities cost beside what is matched.
-
-    Attributes:
-        lower, upper: ``(height, width)`` rows between which nothing costs.
-        below, above: ``(height, width)`` cost of each row outside.
-        limit: ``(height, width)`` the most that it costs.
+    Between rows ``lower`` and ``upper`` nothing, outside ``below`` or ``above`` for each row, and at most ``limit``.
     """
 
     lower: Float32[np.ndarray, "height width"]
@@ -89,8 +77,7 @@ class DisparityPrior:
 
     def add_to(self, costs: UInt16[np.ndarray, " costs"], disparities: DisparityRange) -> None:
         """Add what all disparities of the ranges cost, in fixed-point numbers."""
-        maps = self.lower, self.upper, self.below, self.above, self.limit
-        run_ranges(partial(_add_rows, costs, disparities.lowest, disparities.offsets, maps), len(self.limit))
+        run_ranges(partial(_add_rows, costs, disparities.lowest, disparities.offsets, tuple(self)), len(self.limit))
 
 
 @fast_kernel()

@@ -17,9 +17,7 @@ def matching_rows(rows: int) -> int:
 def refinement_sizes(rows: int, image_rows: int) -> tuple[tuple[int, int], ...]:
     """Height and width of completed depth, and of each refinement after it.
 
-    Args:
-        rows: that depth is looked for at.
-        image_rows: those of the larger panorama.
+    Depth is looked for at ``rows``; the larger panorama has ``image_rows``.
     """
     return doubled_sizes(matching_rows(rows) // 2, rows // 2, image_rows)
 

@@ -99,12 +99,10 @@ class MatchingOptions:
 
 @dataclass(frozen=True)
 class DisparityMap:
-    """Disparities from one panorama to the other.
+    """Disparities (rows) from one panorama to the other.
 
-    Attributes:
-        disparity: ``(height, width)`` rows.
-        valid: where matching decided clearly; the other values are guesses.
-        unique: where nothing else matches nearly as well; None if that was not measured.
+    ``valid``: where matching decided clearly; the other values are guesses. ``unique``: where nothing else matches
+    nearly as well; None if that was not measured.
     """
 
     disparity: Float[np.ndarray, "height width"]
@@ -170,12 +168,9 @@ def _possible_disparities(lowest: np.ndarray, options: MatchingOptions) -> Dispa
 def left_right_check(
     maps: tuple[DisparityMap, DisparityMap], far_rows: float, near_rows: float | None = None
 ) -> tuple[DisparityMap, DisparityMap]:
-    """Both maps with only those disparities valid that the other direction confirms.
+    """Both maps, each in its own direction's frame, with only those disparities valid that the other one confirms.
 
-    Args:
-        maps: of both directions, each in the frame of its own direction.
-        far_rows: rows by which they may differ.
-        near_rows: rows by which they may differ where disparities are large; None makes no difference.
+    They may differ by ``far_rows``, and where disparities are large by ``near_rows``; None makes no difference.
     """
     tolerance = LeftRightTolerance(far_rows, near_rows or far_rows, LEFT_RIGHT_TOLERANCE)
     first, second = (

@@ -18,10 +18,7 @@ MAX_INVERSE_DEPTH = 20.0
 class EpipolarGrid:
     """The pixels of a rectified image, and its two units: rows of disparity, and inverse depth in 1/baselines.
 
-    Attributes:
-        directions: unit vectors in the frame of the pair.
-        polar_angle: of every row, the angle to the epipole in radians.
-        up: the world's up in the frame of the pair.
+    In the frame of the pair: unit vectors, each row's angle to the epipole (radians), and the world's up.
     """
 
     directions: Float[np.ndarray, "height width 3"]

@@ -65,16 +65,13 @@ class PriorModel(Protocol):
     """A trained depth network that needs no matching, however it is run."""
 
     def __call__(
-        self,
-        first: Float32[np.ndarray, "3 height width"],
-        second: Float32[np.ndarray, "3 height width"],
+        self, first: Float32[np.ndarray, "3 height width"], second: Float32[np.ndarray, "3 height width"],
         towards: Float[np.ndarray, " 3"],
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+    ) -> InvDepthWithConfidence:  # fmt: skip
         """Inverse depth of the first panorama, and the probability that it is within 10 %.
 
         Both stand upright, and the second camera is ahead. Distances count in the unit of ``towards``, the way to it.
         """
-        ...
 
 
 Matches = tuple[DisparityMap, DisparityMap]

@@ -38,12 +38,7 @@ def expected_planes(
 ) -> Float[np.ndarray, "planes 3"]:
     """Normals in the frame of the pair, best supported first; none where nothing is expected.
 
-    A plane that no texture can move stays where it is expected.
-
-    Args:
-        pair: with what the network expects.
-        directions: of its sweep.
-        swept: the planes that the sweep found.
+    A plane that no texture can move stays where it is expected. The sweep had these directions, and found ``swept``.
     """
     small = pair if pair.priors is None else pair.resized(EXPECTED_SIZE)
     if small.priors is None:

@@ -19,7 +19,6 @@ from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
-from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 PLANE_FIT_RADII_RAD = (0.8, 0.2, 0.05)
 """Radians over which planes are fitted, widest first; each result is the fallback of the next. Chosen by eye."""
@@ -52,12 +51,14 @@ FILTER_ROWS_PER_GROUP = 16
 """Rows that are filtered together, side by side in memory. (Measured: two thirds of the time.)"""
 
 
+NORMAL_EQUATION_TERMS = 9
+"""Numbers per pixel: the upper triangle of the matrix, row after row, and the right side."""
+
+
 def fill_with_planes(
-    inverse_depth: Float[np.ndarray, "height width"],
-    weight: Float[np.ndarray, "height width"],
-    guide: Float[np.ndarray, "height width 3"],
-    usable: Bool[np.ndarray, "height width"] | None = None,
-) -> Float[np.ndarray, "height width"]:
+    inverse_depth: Float[np.ndarray, "height width"], weight: Float[np.ndarray, "height width"],
+    guide: Float[np.ndarray, "height width 3"], usable: Bool[np.ndarray, "height width"] | None = None,
+) -> Float[np.ndarray, "height width"]:  # fmt: skip
     """The map with every pixel of weight below 1 filled in; pixels of weight 1 stay as they are.
 
     Args:
@@ -88,9 +89,7 @@ def _first_guess(values: np.ndarray, valid: np.ndarray, directions: np.ndarray) 
     """Planes fitted across edges, so that a region without any valid depth inside is not left to chance."""
     no_edges = (np.zeros(values.shape), np.zeros(values.shape))
     background = np.full(values.shape, np.quantile(values[valid], BACKGROUND_QUANTILE))
-    guess = _fit_around_pixels(
-        values, valid.astype(np.float64), background, directions, no_edges, FIRST_GUESS_RADIUS_RAD
-    )
+    guess = _fit_around_pixels(values, valid, background, directions, no_edges, FIRST_GUESS_RADIUS_RAD)
     return np.asarray(np.clip(guess, values[valid].min(), values[valid].max()))
 
 
@@ -109,13 +108,9 @@ def _colour_edges(guide: np.ndarray, usable: np.ndarray | None) -> tuple[np.ndar
 
 
 def _fit_around_pixels(
-    values: np.ndarray,
-    weight: np.ndarray,
-    fallback: np.ndarray,
-    directions: np.ndarray,
-    edges: tuple[np.ndarray, np.ndarray],
-    radius_rad: float,
-) -> np.ndarray:
+    values: np.ndarray, weight: np.ndarray, fallback: np.ndarray, directions: np.ndarray,
+    edges: tuple[np.ndarray, np.ndarray], radius_rad: float,
+) -> np.ndarray:  # fmt: skip
     """Value at each pixel of the plane fitted around it."""
     values, weight, fallback = (np.asarray(image, np.float64) for image in (values, weight, fallback))
     sums = _edge_aware_mean(normal_equations(values, weight, directions), edges, radius_rad)
@@ -203,3 +198,52 @@ def _blend_row(line, before, coupling, begin, end, count):  # type: ignore[no-un
     for col in range(begin, end):
         for i in range(count):
             line[col, i] += coupling[col] * (before[col, i] - line[col, i])
+
+
+@kernel()
+def normal_equations(values, weight, directions):  # type: ignore[no-untyped-def]
+    """What every pixel adds to the fit of ``normal · direction = value``: ``(height, width, 9)`` float32."""
+    height, width = values.shape
+    out = empty((height, width, NORMAL_EQUATION_TERMS), np.float32)
+    for row in range(height):
+        for col in range(width):
+            x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
+            w = weight[row, col]
+            v = w * values[row, col]
+            out[row, col, 0], out[row, col, 1], out[row, col, 2] = w * x * x, w * x * y, w * x * z
+            out[row, col, 3], out[row, col, 4], out[row, col, 5] = w * y * y, w * y * z, w * z * z
+            out[row, col, 6], out[row, col, 7], out[row, col, 8] = v * x, v * y, v * z
+    return out
+
+
+@kernel()
+def fitted_values(sums, fallback, directions, fallback_weight, tilt_ridge):  # type: ignore[no-untyped-def]
+    """The value at every pixel of the plane that is fitted around it, ``(height, width)`` float64.
+
+    ``sums`` are those of :func:`normal_equations` around each pixel. The plane is drawn to ``fallback`` at the pixel
+    itself by ``fallback_weight`` > 0. ``tilt_ridge`` is relative to the trace of the matrix. The matrix is positive
+    definite: along the ray by the fallback, across it by the ridge, however little is known.
+    """
+    height, width = fallback.shape
+    out = empty((height, width), np.float64)
+    for row in range(height):
+        for col in range(width):
+            x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
+            s = sums[row, col]
+            ridge = tilt_ridge * (np.float64(s[0]) + np.float64(s[3]) + np.float64(s[5])) + 1e-9
+            along = fallback_weight - ridge
+            m00, m01, m02 = s[0] + along * x * x + ridge, s[1] + along * x * y, s[2] + along * x * z
+            m11, m12, m22 = s[3] + along * y * y + ridge, s[4] + along * y * z, s[5] + along * z * z + ridge
+            drawn = fallback_weight * fallback[row, col]
+            b0, b1, b2 = s[6] + drawn * x, s[7] + drawn * y, s[8] + drawn * z
+            l10, l20 = m01 / m00, m02 / m00  # L·D·Lᵀ
+            d1 = m11 - l10 * m01
+            l21 = (m12 - l20 * m01) / d1
+            d2 = m22 - l20 * m02 - l21 * l21 * d1
+            b1 -= l10 * b0
+            b2 -= l20 * b0 + l21 * b1
+            n2 = b2 / d2
+            n1 = b1 / d1 - l21 * n2
+            n0 = b0 / m00 - l10 * n1 - l20 * n2
+            out[row, col] = n0 * x + n1 * y + n2 * z
+    return out

@@ -65,12 +65,7 @@ def median_filter(values: Float32[np.ndarray, "height width"]) -> Float32[np.nda
 
 
 class UpsampleWindows(NamedTuple):
-    """Along one axis, the window of low pixels around each pixel.
-
-    Attributes:
-        first: index of the first low pixel in the window, counted from the border.
-        weight: spatial weights of the window's low pixels.
-    """
+    """Along one axis, around each pixel: the first low pixel, counted from the border, and weights of the window."""
 
     first: Int64[np.ndarray, " count"]
     weight: Float32[np.ndarray, "count window"]

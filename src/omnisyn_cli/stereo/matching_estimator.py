@@ -97,10 +97,7 @@ class MatchingDepthEstimator:
             )
 
     def features(self, first: View, second: View) -> tuple[StereoFeatures, StereoFeatures]:
-        """What stereo says about both panoramas, at half of ``options.size`` and in the frames of their cameras.
-
-        The panoramas must not stand at one position.
-        """
+        """What stereo says of panoramas from two positions, at half of ``options.size``, in their cameras' frames."""
         height, width = self.options.size
         options = self.options_for(first, second)
         with limited_threads(self.threads):
@@ -148,12 +145,13 @@ def _match_surfaces(
     pairs = pair, pair.reversed()
     # Cost volume and semi-global matching, one direction after the other: costs take much memory.
     matches = match_all_disparities(pairs[0], options), match_all_disparities(pairs[1], options)
-    consistent = _check_left_right(matches, options)
+    rows = options.left_right_rows, options.near_left_right_rows
+    consistent = left_right_check(matches, *rows)
     if _measured_share(pair, consistent) < least_share:
         return consistent
     planes = _find_planes(pairs, consistent, options)
     surfaces = both(*(partial(label_surfaces, *each, options) for each in zip(pairs, consistent, planes, strict=True)))
-    return _check_left_right(surfaces, options)
+    return left_right_check(surfaces, *rows)
 
 
 def _measured_share(pair: RectifiedPair, disparities: tuple[DisparityMap, DisparityMap]) -> float:
@@ -227,12 +225,6 @@ def _distinct(
     return np.reshape(kept, (-1, 3))
 
 
-def _check_left_right(
-    maps: tuple[DisparityMap, DisparityMap], options: MatchingOptions
-) -> tuple[DisparityMap, DisparityMap]:
-    return left_right_check(maps, options.left_right_rows, options.near_left_right_rows)
-
-
 def _features_in_camera_frame(
     view: View, other: View, pair: RectifiedPair, disparities: DisparityMap
 ) -> StereoFeatures:
@@ -247,14 +239,9 @@ def _features_in_camera_frame(
     sin_elevation = pixel_directions(*size) @ pose.rotation[1]
     sky = find_sky(inverse_depth, consistent & in_pair.nearest(is_infinity_known), sin_elevation, solid_angles(*size))
     weight = np.where(sky, 0.0, np.where(consistent, 1.0, INCONSISTENT_MATCH_WEIGHT * usable))
+    filled = np.where(sky, 0.0, fill_with_planes(inverse_depth, weight, image, usable))
     return StereoFeatures(
-        image=image,
-        matched=inverse_depth,
-        left_right_consistent=consistent,
-        sky=sky,
-        filled=np.where(sky, 0.0, fill_with_planes(inverse_depth, weight, image, usable)),
-        usable=usable,
-        second_from_first=motion_in_baselines(pose, other.pose),
-        up=np.asarray(pose.rotation[1]),
+        image=image, matched=inverse_depth, left_right_consistent=consistent, sky=sky, filled=filled, usable=usable,
+        second_from_first=motion_in_baselines(pose, other.pose), up=np.asarray(pose.rotation[1]),
         expected=None if pair.priors is None else pair.priors[0].remapped(in_pair),
-    )
+    )  # fmt: skip

@@ -56,12 +56,8 @@ MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
 class PlanePoints(NamedTuple):
     """Points that one camera of a rectified pair sees, in the frame in which it is the first one.
 
-    Attributes:
-        directions: unit vectors.
-        inverse_depth: 1/baselines.
-        tolerance: distance of an inlier in 1/baselines.
-        solid_angle: weight of each point.
-        row, col: its pixel, for windows of neighbours.
+    Directions are unit vectors; inverse depth, and the distance of an inlier (``tolerance``), are in 1/baselines; the
+    solid angle weighs a point; ``row`` and ``col`` are its pixel, for windows of neighbours.
     """
 
     directions: Float[np.ndarray, "points 3"]
@@ -75,11 +71,8 @@ class PlanePoints(NamedTuple):
 class PlaneEquations(NamedTuple):
     """One linear equation ``normal · ray = inverse_depth`` for each point of both cameras, in the first one's frame.
 
-    Attributes:
-        rays: directions; for points of the second camera ``direction + inverse_depth · camera``.
-        inverse_depth: from the camera that sees the point.
-        tolerance: as in :class:`PlanePoints`.
-        is_second: which camera sees the point.
+    Rays are directions; for points of the second camera ``direction + inverse_depth · camera``. Inverse depth is from
+    the camera that sees the point. For ``tolerance`` see :class:`PlanePoints`.
     """
 
     rays: Float[np.ndarray, "points 3"]
@@ -125,11 +118,8 @@ def find_planes(
 ) -> Float[np.ndarray, "planes 3"]:
     """Normals of at most ``max_planes`` planes in the frame of the first camera, best supported first.
 
-    Args:
-        points: what the planes explain, as either camera sees it.
-        up: unit vector; level planes are proposed by one point, upright ones by two.
-        max_planes: most planes to look for.
-        min_support: a plane has to explain this share of the total solid angle of both cameras.
+    The planes explain points as either camera sees them: each at least ``min_support`` of the total solid angle. Level
+    ones, across the unit vector ``up``, are proposed by one point, upright ones by two.
 
     Source: greedy multi-model RANSAC; fixed seed, so equal inputs give equal planes.
     """
@@ -234,14 +224,8 @@ def _fit_normals(
 
 
 @kernel()
-def _normal_equations(
-    directions: Float[np.ndarray, "points 3"],
-    inverse_depth: Float[np.ndarray, " points"],
-    weight: Float[np.ndarray, " points"],
-    group: Int[np.ndarray, " points"],
-    count: int,
-) -> tuple[Float[np.ndarray, "groups 3 3"], Float[np.ndarray, "groups 3"]]:
-    """Of each group, matrix and right side of the fit of ``normal · direction = inverse_depth``."""
+def _normal_equations(directions, inverse_depth, weight, group, count):  # type: ignore[no-untyped-def]
+    """Of each group, matrix (3, 3) and right side (3) of the fit of ``normal · direction = inverse_depth``."""
     matrix, vector = zeros((count, 3, 3), np.float64), zeros((count, 3), np.float64)
     for k in range(len(directions)):
         at = group[k]
@@ -281,11 +265,7 @@ def fit_to_inliers(
 ) -> Float[np.ndarray, " 3"]:  # fmt: skip
     """The plane fitted to those of the usable points that a plane explains.
 
-    Args:
-        normal: of that plane.
-        equations: of the points.
-        is_usable: which of them may be used.
-        stiffness: adds ``normal · stiffness · normal`` to the squared residuals, in tolerances of points.
+    ``stiffness`` adds ``normal · stiffness · normal`` to the squared residuals, in tolerances of points.
     """
     group = np.zeros(len(is_usable), np.int64)
     for _ in range(ROBUST_ITERATIONS):

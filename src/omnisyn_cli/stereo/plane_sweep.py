@@ -114,10 +114,8 @@ class SweepDirection:
         """Rows for the nearest of some planes; −1 where no ray meets one steeply enough and where is no texture."""
         grid, disparity = self.pair.grid, np.empty(self.pair.size, np.float32)
         least = MIN_INCIDENCE_SINE * np.linalg.norm(normals, axis=-1)
-        fill = partial(
-            _plane_disparity_rows, grid.directions, grid.polar_angle, self.textured_area > 0, normals, least, disparity
-        )
-        run_ranges(fill, len(disparity))
+        fill = partial(_plane_disparity_rows, grid.directions, grid.polar_angle, self.textured_area > 0, normals, least)
+        run_ranges(partial(fill, disparity), len(disparity))
         return disparity
 
     def cost(self, disparity: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
@@ -167,17 +165,9 @@ def plane_disparity(grid: EpipolarGrid, normal: Float[np.ndarray, " 3"]) -> Floa
 def _plane_disparity_rows(  # type: ignore[no-untyped-def]
     directions, polar_angle, is_compared, normals, least, disparity, begin, end
 ):
-    """Fills some rows of ``disparity``, see :meth:`SweepDirection.disparity`.
+    """Fills some rows of ``disparity``, see :meth:`SweepDirection.disparity`; −1 where ``is_compared`` is not set.
 
-    Args:
-        directions: unit vectors of the pixels.
-        polar_angle: of the rows.
-        is_compared: elsewhere it is −1.
-        normals: of the planes.
-        least: inverse depth of each plane where rays graze it.
-        disparity: written.
-        begin: first row.
-        end: the row after the last.
+    ``least`` is the inverse depth of each plane where rays graze it.
     """
     height, width = disparity.shape
     nearest = empty(width, np.float64)
@@ -216,11 +206,8 @@ def sweep_planes(
     """Planes across some axes, on either side of the cameras, that both panoramas see; best supported first.
 
     Each is a normal in the frame of the pair, as long as the inverse distance of its plane from the first camera
-    (1/baselines).
-
-    Args:
-        directions: from :func:`sweep_directions`.
-        axes: unit vectors, up first: floors and ceilings are across it, walls across level ones.
+    (1/baselines). Directions are those of :func:`sweep_directions`. Axes are unit vectors, up first: floors and
+    ceilings are across it, walls across level ones.
     """
     found = _greedy_planes(directions[0], axes)
     fitted = [fit_plane(directions, normal) for normal in found]
@@ -270,11 +257,8 @@ def _is_on_flank(normal: np.ndarray, plane: np.ndarray) -> bool:
 class AxisSweep:
     """How well each pixel fits planes across an axis: those behind the camera where it looks back, else those before.
 
-    Attributes:
-        directions: the images that were swept.
-        axis: unit vector in the frame of the pair.
-        distances: of the planes from the first camera, in baselines.
-        scores: ``(2, distances, pixels)``: 255 times ``1 − cost / GOOD_COST``, at least 0.
+    The axis is a unit vector in the frame of the pair, distances are those of the planes from the first camera, in
+    baselines. ``scores`` ``(2, distances, pixels)`` are 255 times ``1 − cost / GOOD_COST``, at least 0.
     """
 
     directions: Directions
@@ -333,14 +317,10 @@ def _scores(direction: SweepDirection, normals: Float[np.ndarray, "planes 3"]) -
 
 
 class HalfSweep(NamedTuple):
-    """The planes of a sweep on one side of the cameras.
+    """The planes of a sweep on one side of the cameras: 0 where pixels look against the axis, 1 along it.
 
-    Attributes:
-        sweep: they are part of.
-        side: 0 where pixels look against the axis, 1 along it.
-        mask: the pixels of both images that do.
-        support: what each plane explains of what is not explained yet.
-        is_candidate: distances that may still be found.
+    ``mask`` are the pixels of both images that do, ``support`` is what each plane explains of what is not explained
+    yet, and ``is_candidate`` are distances that may still be found.
     """
 
     sweep: AxisSweep
@@ -434,10 +414,8 @@ def fit_plane(
 ) -> Float[np.ndarray, " 3"]:  # fmt: skip
     """A plane of a sweep measured, first in the images that were swept and then in those of the pair.
 
-    Args:
-        directions: from :func:`sweep_directions`.
-        normal: of the plane, as :func:`sweep_planes` returns it.
-        stiffness: see :func:`omnisyn_cli.stereo.plane_fitting.fit_to_inliers`.
+    Directions are those of :func:`sweep_directions`, and the plane is as :func:`sweep_planes` returns it. For
+    ``stiffness`` see :func:`omnisyn_cli.stereo.plane_fitting.fit_to_inliers`.
     """
     coarse, fine = directions
     return _fit(fine, _fit(coarse, normal, COARSE_FIT_COUNT, stiffness), FINE_FIT_COUNT, stiffness)

@@ -86,21 +86,12 @@ class RectifiedPair:
         if size == self.size:
             return self
         first_usable, second_usable = (resize_mask(usable, size) for usable in (self.first_usable, self.second_usable))
-        return RectifiedPair(
-            resize_area(self.first, size),
-            resize_area(self.second, size),
-            first_usable,
-            second_usable,
-            self.world_from_frame,
-            self.baseline,
-            self._resized_priors(size),
-        )
-
-    def _resized_priors(self, size: tuple[int, int]) -> tuple[DepthPrior, DepthPrior] | None:
-        if self.priors is None:
-            return None
-        first, second = (DepthPrior(*(resize_area(each, size) for each in prior.maps)) for prior in self.priors)
-        return first, second
+        first, second = (resize_area(image, size) for image in (self.first, self.second))
+        priors = None
+        if self.priors is not None:
+            of_first, of_second = (DepthPrior(*(resize_area(each, size) for each in prior)) for prior in self.priors)
+            priors = of_first, of_second
+        return RectifiedPair(first, second, first_usable, second_usable, self.world_from_frame, self.baseline, priors)
 
     def remap_to(self, rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]) -> RemapTable:
         """For each pixel of an image of a ``size`` in a world-from-camera ``rotation``: where this frame shows it."""
@@ -117,9 +108,7 @@ def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
 
 def usable_pixels(view: View, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
     """The mask of a view at another size: True where no forbidden pixel contributes."""
-    if view.mask is None:
-        return np.ones(size, bool)
-    return resize_mask(view.mask, size)
+    return np.ones(size, bool) if view.mask is None else resize_mask(view.mask, size)
 
 
 def _rotated_view(view: View, frame: Pose, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:

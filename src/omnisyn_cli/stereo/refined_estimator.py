@@ -137,13 +137,9 @@ def _smooth_invalid_pixels(
 def refine_depth_at_size(
     views: ViewPair, maps: InvDepthPair, size: tuple[int, int], options: MatchingOptions
 ) -> InvDepthPair:
-    """Inverse depth and confidence of both panoramas measured again at a larger size.
+    """Inverse depth and confidence of both panoramas, from two different positions, measured again at a larger size.
 
-    Args:
-        views: from two different positions.
-        maps: of both at a smaller size, each in the frame of its own camera.
-        size: height and width of the result.
-        options: of the matching.
+    The maps at a smaller size are each in the frame of its own camera.
     """
     coarse = both(*(partial(_upsample_map, view, each, size) for view, each in zip(views, maps, strict=True)))
     pair = rectify(*views, size)

@@ -79,12 +79,9 @@ class PathInputs(NamedTuple):
     """What all paths read.
 
     Attributes:
-        cost: matching costs of all pixels, flat, fixed-point.
-        lowest: first disparity of each pixel.
-        offsets: index of each pixel's first cost.
+        cost, lowest, offsets: matching costs, flat, fixed-point; see :class:`DisparityRange`.
         luminance: weakens P2 at edges.
-        p1: penalty for a change of disparity by one, fixed-point.
-        p2: penalty for any other change, fixed-point.
+        p1, p2: penalties for a change of disparity by one and for any other change, fixed-point.
         inverse_contrast: 1 / the grey difference that halves P2.
         longest_range: disparities of the longest range.
     """
@@ -105,13 +102,9 @@ def to_fixed_point(cost: Float[np.ndarray, "*costs"]) -> UInt16[np.ndarray, "*co
 
 
 def aggregate_costs(
-    cost: UInt16[np.ndarray, " costs"],
-    disparities: DisparityRange,
-    luminance: Float[np.ndarray, "height width"],
-    p1: float,
-    p2: float,
-    p2_contrast: float,
-) -> UInt16[np.ndarray, " costs"]:
+    cost: UInt16[np.ndarray, " costs"], disparities: DisparityRange, luminance: Float[np.ndarray, "height width"],
+    p1: float, p2: float, p2_contrast: float,
+) -> UInt16[np.ndarray, " costs"]:  # fmt: skip
     """The sum over eight path directions of the cheapest way to each pixel and disparity, fixed-point.
 
     Args:
@@ -141,11 +134,8 @@ def winner_takes_all(
 ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
     """The cheapest disparity of every pixel to a fraction of a row, and its margin over the best rival (0 = a tie).
 
-    Args:
-        total: aggregated costs, fixed-point.
-        disparities: what the costs belong to.
-        is_complete_range: whether nothing exists outside of the ranges; else a winner at the end of its range has
-            margin 0, because the true one may lie beyond.
+    ``total`` are aggregated costs, fixed-point. Unless nothing exists outside of the ranges (``is_complete_range``), a
+    winner at the end of its range has margin 0, because the true one may lie beyond.
     """
     shape = disparities.lowest.shape
     disparity, margin = np.empty(shape, np.float32), np.zeros(shape, np.float32)
@@ -160,12 +150,7 @@ def uniqueness_margin(
     """By how much a disparity is cheaper than all that are more than :data:`RIVAL_MIN_ROWS` away, before aggregation.
 
     Near 0 on repeating patterns, however clearly the paths prefer one repetition. Below 0 where the paths overruled the
-    pixel's own cost.
-
-    Args:
-        cost: fixed-point, before aggregation.
-        disparities: what the costs belong to.
-        disparity: one of each pixel's.
+    pixel's own cost. Costs are fixed-point; ``disparity`` is one of each pixel's.
     """
     out = np.empty(disparity.shape, np.float32)
     run_ranges(partial(_measure_uniqueness, cost, disparities.lowest, disparities.offsets, disparity, out), len(out))

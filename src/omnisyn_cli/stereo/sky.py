@@ -22,21 +22,13 @@ ZENITH_SINE = 0.9
 
 
 def find_sky(
-    inverse_depth: Float[np.ndarray, "height width"],
-    valid: Bool[np.ndarray, "height width"],
-    sin_elevation: Float[np.ndarray, "height width"],
-    solid_angle: Float[np.ndarray, "height width"],
-) -> Bool[np.ndarray, "height width"]:
-    """Where the panorama shows the sky.
+    inverse_depth: Float[np.ndarray, "height width"], valid: Bool[np.ndarray, "height width"],
+    sin_elevation: Float[np.ndarray, "height width"], solid_angle: Float[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:  # fmt: skip
+    """Where the panorama shows the sky, given inverse depth in 1/baselines, valid where matching measured it.
 
     A bright wall, an overexposed ceiling or a lamp is as smooth as a cloudless sky. The sky reaches the zenith, and
     wherever it has texture (clouds, a gradient, the rims of what stands before it) that texture has no parallax.
-
-    Args:
-        inverse_depth: in 1/baselines.
-        valid: where matching measured it.
-        sin_elevation: sine of the elevation above the horizon.
-        solid_angle: of every pixel.
     """
     is_above = sin_elevation > 0.0
     is_far = (inverse_depth < MAX_SKY_INVERSE_DEPTH) & is_above

@@ -57,11 +57,9 @@ LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 
 
 class CandidatePlanes(NamedTuple):
-    """Planes that pixels may lie on, best supported first.
+    """Planes that pixels may lie on, best supported first: normals as long as the inverse distance (1/baselines).
 
-    Attributes:
-        normals: in the frame of the pair, as long as the inverse distance (1/baselines).
-        is_measured: swept or expected ones, which were measured in the images; the others are fitted to matches.
+    ``is_measured``: swept or expected ones, which were measured in the images; the others are fitted to matches.
     """
 
     normals: Float[np.ndarray, "planes 3"]
@@ -77,15 +75,9 @@ class CandidatePlanes(NamedTuple):
 def label_surfaces(
     pair: RectifiedPair, matches: DisparityMap, candidates: CandidatePlanes, options: MatchingOptions
 ) -> DisparityMap:
-    """The surface that explains each pixel best, given left-right consistent matches and planes.
+    """The surface that explains each pixel best, given left-right consistent matches of the first image and planes.
 
     A plane is valid also where there is no texture; a match is not.
-
-    Args:
-        pair: the images.
-        matches: of the first one.
-        candidates: the planes.
-        options: of the matching.
     """
     grid, planes = pair.grid, candidates.normals
     is_static = _static_texture(grid, matches)
@@ -160,12 +152,8 @@ class PlaneSupport(NamedTuple):
 
     Attributes:
         size: of the image.
-        pixels: index of those with a valid match.
-        directions: of these.
-        inverse_depth: of these.
-        tolerance: of these.
-        textured: where there is texture.
-        texture: how much of it is around each pixel.
+        pixels, directions, inverse_depth, tolerance: of those with a valid match.
+        textured, texture: where there is texture, and how much of it is around each pixel.
     """
 
     size: tuple[int, int]

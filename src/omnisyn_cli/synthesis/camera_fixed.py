@@ -24,10 +24,10 @@ from omnisyn_cli.synthesis.nadir_map import (
     WINDOW,
     Mask,
     NadirMap,
-    disc,
     ground_pixels,
     look_up,
     map_degrees,
+    morphed,
     on_sphere,
     turn_along,
 )  # fmt: skip
@@ -101,12 +101,8 @@ MARGIN_PIXELS = 2
 def find_camera_fixed(first: View, second: View, still: Mask | None = None) -> tuple[Mask | None, Mask | None]:
     """Pixels of both views, each at its own size, that show what moves with the camera; None where nothing does.
 
-    Where both stand at one place nothing can be said.
-
-    Args:
-        first: a panorama.
-        second: one taken elsewhere with the same camera.
-        still: what was found in more than two pictures, see :func:`omnisyn_cli.synthesis.still_outlines`.
+    They were taken elsewhere with the same camera: where both stand at one place nothing can be said. ``still`` is what
+    was found in more than two pictures, see :func:`omnisyn_cli.synthesis.still_outlines`.
     """
     if at_same_position(first.pose, second.pose):
         return None, None
@@ -137,7 +133,7 @@ def find_camera_fixed(first: View, second: View, still: Mask | None = None) -> t
 
 
 def _dilated(mask: Mask, reach: int) -> Mask:
-    return np.asarray(cv2.dilate(mask.astype(np.uint8), disc(reach)) > 0)
+    return morphed(mask, cv2.MORPH_DILATE, reach)
 
 
 def _uniform_patch(image: np.ndarray) -> Mask:
@@ -208,9 +204,8 @@ def _find_static_regions(maps: tuple[NadirMap, NadirMap], views: tuple[View, Vie
         back = (-shift[0], -shift[1])
         like = _likeness(*maps, shift)
         colour = _step(smooth[0], np.roll(smooth[1], shift, (0, 1)))
-        for k, (values, steps) in enumerate(
-            ((like, colour), (np.roll(like, back, (0, 1)), np.roll(colour, back, (0, 1))))
-        ):
+        moved_back = np.roll(like, back, (0, 1)), np.roll(colour, back, (0, 1))
+        for k, (values, steps) in enumerate(((like, colour), moved_back)):
             np.maximum(in_place[k], values, out=in_place[k])
             np.minimum(difference[k], steps, out=difference[k])
     at = [ground_pixels(maps[k], (views[k], views[1 - k]), height + k * float(way[1])) for k in (0, 1)]
@@ -238,8 +233,7 @@ def _without_holes(mask: Mask) -> Mask:
 
 def _objects(seeds: Mask, unique: Mask, region: Mask) -> Mask:
     """The connected parts of a region that begin near the nadir and have enough seeds, most of which repeat nowhere."""
-    opened = cv2.morphologyEx(region.astype(np.uint8), cv2.MORPH_OPEN, disc(1))
-    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, disc(CLOSING_PIXELS)) > 0
+    closed = morphed(morphed(region, cv2.MORPH_OPEN, 1), cv2.MORPH_CLOSE, CLOSING_PIXELS)
     label, radius = connected_regions(closed, is_diagonal=True), np.hypot(*map_degrees())
     kept = np.zeros(seeds.shape, bool)
     for number in np.unique(label[seeds & closed]):

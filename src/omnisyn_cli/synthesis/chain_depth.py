@@ -67,17 +67,14 @@ class PairDepth:
 
     def mismatch(self, inverse_depth: Float[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
         """How far the neighbour's colours are from the panorama's if its distances are these, at the check's size."""
-        moved = sweep_directions(
-            pixel_directions(*inverse_depth.shape), inverse_depth.astype(np.float64), self.other_from_this
+        directions = pixel_directions(*inverse_depth.shape)
+        seen = sample_nearest(
+            self.other, sweep_directions(directions, inverse_depth.astype(np.float64), self.other_from_this)
         )
-        seen = sample_nearest(self.other, moved)
         gap = np.abs(seen[..., :3] - self.image).mean(axis=-1)
         gap = np.where(seen[..., 3] > 0.99, np.minimum(gap, MAX_COLOUR_MISMATCH), MAX_COLOUR_MISMATCH)
-        return filter_across_seam(
-            partial(cv2.blur, ksize=(MISMATCH_WINDOW_PIXELS, MISMATCH_WINDOW_PIXELS)),
-            gap.astype(np.float32),
-            MISMATCH_WINDOW_PIXELS // 2,
-        )
+        blur = partial(cv2.blur, ksize=(MISMATCH_WINDOW_PIXELS, MISMATCH_WINDOW_PIXELS))
+        return filter_across_seam(blur, gap.astype(np.float32), MISMATCH_WINDOW_PIXELS // 2)
 
 
 def fuse_depth(*pair_depths: PairDepth) -> DepthEstimate:
@@ -119,9 +116,8 @@ def _likeness(depth: DepthEstimate, pair_depths: Sequence[PairDepth]) -> Float32
     reduced = subsample_depth(depth, pair_depths[0].image.shape[:2]).inverse_depth
     reduced = resized_to(reduced, pair_depths[0].image.shape[:2], cv2.INTER_NEAREST)
     mismatch = reduce(np.minimum, [pair_depth.mismatch(reduced) for pair_depth in pair_depths])
-    return resized_to(
-        np.exp(-mismatch / np.float32(COLOUR_MISMATCH_SCALE)), depth.inverse_depth.shape, cv2.INTER_NEAREST
-    )
+    likeness = np.exp(-mismatch / np.float32(COLOUR_MISMATCH_SCALE))
+    return resized_to(likeness, depth.inverse_depth.shape, cv2.INTER_NEAREST)
 
 
 def _enlarged(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
@@ -137,13 +133,8 @@ class ChainDepth:
     To know all about the second panorama of a pair, all its other pairs are compared too. What has been found and may
     be needed by the next pairs is kept, nothing else. Answers do not depend on the order in which they are asked for.
 
-    Args:
-        views: the panoramas, in order.
-        estimator: finds the depth of a pair, in pictures of one exposure; :class:`~omnisyn_cli.types.KnownDepth` is
-            taken as it is.
-        clock: collects seconds by stage.
-        threads: at most this many; None is one per core.
-        links: indices of the two panoramas of every pair, the first one smaller; None is a chain.
+    The estimator finds the depth of a pair, in pictures of one exposure; :class:`~omnisyn_cli.types.KnownDepth` is
+    taken as it is. ``links`` are indices of the two panoramas of every pair, the first one smaller; None is a chain.
     """
 
     def __init__(

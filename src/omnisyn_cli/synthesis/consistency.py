@@ -22,7 +22,7 @@ from omnisyn_cli.fusion.photometry import (
     darken_to_match,
     estimate_curve,
     rough_exposure_curve,
-)
+)  # fmt: skip
 from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
 from omnisyn_cli.geometry.resize import resize_area, resize_mask
 from omnisyn_cli.geometry.sphere import solid_angles
@@ -77,16 +77,10 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
 def cross_check(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None = None
 ) -> CrossCheck:
-    """Compare two views with each other through their depths.
-
-    Args:
-        views: the panoramas.
-        depths: their inverse depth, in 1/metre.
-        cut: where their surfaces are separated.
-        threads: at most this many; None is one per core.
-    """
+    """Compare two views with each other through their inverse depths, 1/metre; ``cut`` separates surfaces."""
     crossed, small_views, renderers = _render_crosswise(views, depths, cut, threads)
-    curve = _exposure_curve(crossed)
+    # from all pixels of both photographs that the other view shows as well
+    curve = estimate_curve(*(np.concatenate(values) for values in zip(*_common_samples(crossed), strict=True)))
     match_exposure = ExposureMatcher(curve)
     matched = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)[::-1]
     half_way = match_exposure(*_render_half_way(small_views, renderers), 0.5)
@@ -104,9 +98,8 @@ def _render_crosswise(
         return small, _mesh_renderer(small, cut, threads)
 
     with limited_threads(threads):
-        (first, of_first), (second, of_second) = both(
-            *(partial(prepare, *each) for each in zip(views, depths, strict=True))
-        )
+        prepared = both(*(partial(prepare, *each) for each in zip(views, depths, strict=True)))
+        (first, of_first), (second, of_second) = prepared
         crossed = both(
             lambda: _photo_and_other_surface(first, of_second, second),
             lambda: _photo_and_other_surface(second, of_first, first),
@@ -181,16 +174,11 @@ def _render_half_way(small_views: tuple[View, View], renderers: list[Renderer]) 
     """Both views' surfaces rendered half way between their poses."""
     first, second = (view.pose for view in small_views)
     pose = Pose(slerp(first.rotation, second.rotation, 0.5), 0.5 * (first.position + second.position))
-    layers = [
+    first_layer, second_layer = (
         _render_copy(renderer, pose.inverse() @ view.pose)
         for view, renderer in zip(small_views, renderers, strict=True)
-    ]
-    return layers[0], layers[1]
-
-
-def _exposure_curve(crossed: list[tuple[Layer, Layer]]) -> ExposureCurve:
-    """From all pixels of both photographs that the other view shows as well."""
-    return estimate_curve(*(np.concatenate(values) for values in zip(*_common_samples(crossed), strict=True)))
+    )
+    return first_layer, second_layer
 
 
 def _common_samples(crossed: list[tuple[Layer, Layer]]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

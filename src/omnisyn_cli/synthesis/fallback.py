@@ -19,13 +19,7 @@ FADE_SHARE = 0.05
 
 
 class MaskedFade:
-    """What is masked in two photographs, shown at the ends of the way and faded within the first frames.
-
-    Args:
-        views: both; only those that show what is masked count.
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
-    """
+    """What is masked in two photographs, where they show it: seen at the ends of the way and faded in a few frames."""
 
     def __init__(self, views: Sequence[View], size: tuple[int, int], threads: int | None = None) -> None:
         self._poses = [view.pose for view in views]
@@ -61,11 +55,7 @@ class MaskedFade:
 class CrossFade:
     """Both photographs of a pair, turned but not moved. Not shared between threads.
 
-    Args:
-        images: the photographs, painted over where they may not be shown.
-        poses: of both, world-from-camera.
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
+    They are painted over where they may not be shown.
     """
 
     def __init__(
@@ -76,19 +66,12 @@ class CrossFade:
         self._photograph_shader, self._threads = Shader(size, threads), threads
 
     def __call__(
-        self,
-        image: Shaped[np.ndarray, "height width 3"],
-        confidence: Float32[np.ndarray, "height width"],
-        pose: Pose,
+        self, image: Shaped[np.ndarray, "height width 3"], confidence: Float32[np.ndarray, "height width"], pose: Pose,
         t: float,
-    ) -> None:
-        """Replace the doubtful regions of a frame, in place.
+    ) -> None:  # fmt: skip
+        """Replace the doubtful regions of a frame, numbers or samples, in place, by its confidence in [0, 1].
 
-        Args:
-            image: the frame, numbers or samples.
-            confidence: of its pixels, in [0, 1].
-            pose: world-from-camera of the frame; only its orientation matters.
-            t: share of the way, the share of the second photograph.
+        Of the frame's pose only the orientation matters. ``t`` is the share of the second photograph.
         """
         weight, quantization = low_confidence_regions(confidence), quantization_for(image)
         turns = [Pose(pose.rotation.T @ source.rotation, np.zeros(3)) for source in self._poses]
@@ -102,8 +85,7 @@ class CrossFade:
                     for turn, texture, share in zip(turns, self._textures, (1.0 - t, t), strict=True):
                         photograph = self._photograph_shader.rows_at_infinity(texture, turn, rows.start, rows.stop)
                         mixed += np.float32(share) * here * np.maximum(photograph[..., :3], 0.0)
-                    image[rows] = (
-                        np.minimum(mixed, quantization.max_colour) * quantization.scale + quantization.rounding
-                    )
+                    mixed = np.minimum(mixed, quantization.max_colour)
+                    image[rows] = mixed * quantization.scale + quantization.rounding
 
         run_ranges(band, len(image), self._threads)

@@ -51,10 +51,7 @@ class Frame:
 class FusedFrame:
     """A frame and what it was made of, in buffers that the next one overwrites.
 
-    Attributes:
-        frame: the frame.
-        nearest: answers the greatest inverse depth that either view sees, 1/metre.
-        pixels_per_radian: of the frame.
+    ``nearest`` answers the greatest inverse depth that either view sees, 1/metre.
     """
 
     frame: Frame

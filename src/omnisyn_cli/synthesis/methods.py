@@ -30,11 +30,9 @@ class Pair(Protocol):
         ...
 
     def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
-        """What is seen at a waypoint.
+        """What is seen at a waypoint between the two.
 
-        Args:
-            waypoint: where, between the two.
-            out: gives memory for frames that are wanted rounded to 8 bits; frames may be numbers all the same.
+        ``out`` gives memory for frames that are wanted rounded to 8 bits; frames may be numbers all the same.
         """
         ...
 
@@ -48,12 +46,7 @@ class Pair(Protocol):
 
 
 class Method(Protocol):
-    """A way to make frames of one size.
-
-    Attributes:
-        options: size of the frames, threads.
-        clock: collects seconds by stage.
-    """
+    """A way to make frames of one size; the clock collects seconds by stage."""
 
     options: SynthesisOptions
     clock: Stopwatch
@@ -66,11 +59,7 @@ class Method(Protocol):
 class SurfaceMethod:
     """Depth → mesh → render both → fuse; a :class:`Method`.
 
-    Args:
-        estimator: finds the depth of each pair, see :class:`~omnisyn_cli.synthesis.chain_depth.ChainDepth`.
-        options: size and settings.
-        fuser: joins the two renderings; geometric by default.
-        clock: collects seconds by stage.
+    For the estimator see :class:`~omnisyn_cli.synthesis.chain_depth.ChainDepth`. By default the fuser is geometric.
     """
 
     def __init__(
@@ -97,9 +86,6 @@ class SurfacePair:
     """Frames of two surfaces; a :class:`Pair`.
 
     A frame in which nothing would be seen aside of where it was in the one before is that one, shown again.
-
-    Attributes:
-        prepared: the surfaces.
     """
 
     def __init__(self, prepared: PreparedPair, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> None:

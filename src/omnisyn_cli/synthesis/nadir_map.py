@@ -35,11 +35,10 @@ class NadirMap:
     """A panorama around its nadir.
 
     Attributes:
-        image: ``(MAP_SIZE, MAP_SIZE, 3)`` RGB.
+        image, grey: ``(MAP_SIZE, MAP_SIZE, 3)`` RGB, and its mean over the channels.
         usable: where it may be used.
         directions: of its pixels, in the frame of the camera.
         turn: rotation about the vertical that takes the map's frame to that of the camera.
-        grey: its mean over the channels.
         variance: of the colours in windows, summed over channels.
     """
 
@@ -77,16 +76,14 @@ def map_degrees() -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-def disc(reach: int) -> np.ndarray:
-    """A structuring element of so many pixels around its middle."""
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
+def morphed(mask: Mask, operation: int, reach: int) -> Mask:
+    """A morphological operation of OpenCV by a disc of so many pixels around its middle."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, disc) > 0)
 
 
 def turn_along(way: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The turn of maps in which a camera moves up, so that they do not depend on where its panorama has its seam.
-
-    ``way`` is its motion in its own frame.
-    """
+    """The turn of maps in which a camera moves up, whatever the seam of its panorama; ``way`` is in its own frame."""
     return rotation_from_heading(float(np.arctan2(way[0], -way[2])))
 
 

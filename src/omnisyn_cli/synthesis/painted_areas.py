@@ -52,12 +52,7 @@ Mask = Bool[np.ndarray, "rows cols"]
 
 
 def find_painted(views: tuple[View, View], maps: tuple[NadirMap, NadirMap]) -> tuple[Mask, Mask]:
-    """Pixels of both views, each at its own size, that are painted in the same colour.
-
-    Args:
-        views: two panoramas.
-        maps: of both.
-    """
+    """Pixels of both views, each at its own size, that are painted in the same colour."""
     pictures = [_reduced(view) for view in views]
     found = [np.zeros(picture.shape[:2], bool) for picture, _ in pictures]
     for find_areas in (_areas_at_nadir, _band_at_nadir, _band_at_zenith):
@@ -67,11 +62,9 @@ def find_painted(views: tuple[View, View], maps: tuple[NadirMap, NadirMap]) -> t
         painted = areas[0][0], areas[1][0]
         if find_areas is not _areas_at_nadir or _keeps_its_place(painted, maps, views):
             found = [before | now for before, now in zip(found, painted, strict=True)]
-    masks = [
-        _at_size(_morphed(mask, cv2.MORPH_DILATE, MARGIN_PIXELS), view.image.shape[:2])
-        for mask, view in zip(found, views, strict=True)
-    ]
-    return masks[0], masks[1]
+    grown = (_morphed(mask, cv2.MORPH_DILATE, MARGIN_PIXELS) for mask in found)
+    first, second = (_at_size(mask, view.image.shape[:2]) for mask, view in zip(grown, views, strict=True))
+    return first, second
 
 
 def _reduced(view: View) -> tuple[UInt8[np.ndarray, "rows cols 3"], Mask]:

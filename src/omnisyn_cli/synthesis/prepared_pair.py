@@ -55,9 +55,7 @@ class PreparedPair:
 
     Attributes:
         index: of the first view.
-        poses: of both views.
-        depths: of both.
-        renderers: of both.
+        poses, depths, renderers: of both views.
         cross_check: how differently they are exposed, and how far what is made of them can be relied on.
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
         masked_fade: fades what is masked at the ends; None where nothing masked is shown.
@@ -99,9 +97,8 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     first_view, second_view = chain.links[index]
     whole = chain.views[first_view], chain.views[second_view]
     with clock("mesh"):
-        (first, second), drawn_depths, cut, is_soft = drawn_surfaces(
-            whole, depths, check, options.cut, softens=options.soften
-        )
+        surfaces = drawn_surfaces(whole, depths, check, options.cut, softens=options.soften)
+        (first, second), drawn_depths, cut, is_soft = surfaces
         options = replace(options, cut=cut)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
@@ -122,14 +119,7 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
 
 
 class DrawnSurfaces(NamedTuple):
-    """What the surfaces of a pair are made of.
-
-    Attributes:
-        views: both; the ground is continued below masks.
-        depths: of both.
-        cut: where the surfaces are cut.
-        is_soft: whether they are soft.
-    """
+    """What the surfaces of a pair are made of; the ground is continued below masks."""
 
     views: tuple[View, View]
     depths: tuple[DepthEstimate, DepthEstimate]
@@ -140,14 +130,9 @@ class DrawnSurfaces(NamedTuple):
 def drawn_surfaces(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck, cut: Cut, *, softens: bool
 ) -> DrawnSurfaces:
-    """What surfaces are made of, given the depth that was found.
+    """What surfaces are made of, given the depth that was found and what the views say of each other.
 
-    Args:
-        views: both.
-        depths: of both.
-        check: what they say of each other.
-        cut: where surfaces are cut that are not soft.
-        softens: whether surfaces that cannot be relied on become soft.
+    They are cut by ``cut`` unless they are soft, as those become that cannot be relied on, if it ``softens``.
     """
     is_soft = softens and needs_soft_surface(views, depths, check)
     if is_soft:
@@ -158,18 +143,15 @@ def drawn_surfaces(
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
     """Of the first of two neighbouring views."""
-    way = _path_to(view, other) if options.adaptive and not at_same_position(view.pose, other.pose) else None
+    way = None
+    if options.adaptive and not at_same_position(view.pose, other.pose):  # all frames lie between the two views
+        way = np.asarray(view.pose.rotation.T @ (other.pose.position - view.pose.position))
     return options.renderer(
         RendererInputs(
             usable_image(view, options), view.mask, depth.inverse_depth, depth.confidence, options.size, options.cut,
             options.threads, way,
         )
     )  # fmt: skip
-
-
-def _path_to(view: View, other: View) -> Float[np.ndarray, " 3"]:
-    """Where the other view was taken, in the frame of the first: all frames lie between the two."""
-    return np.asarray(view.pose.rotation.T @ (other.pose.position - view.pose.position))
 
 
 def usable_image(

@@ -13,6 +13,7 @@ no confidence are softened, and only in places with a ceiling (docs/confidence.m
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -115,13 +116,7 @@ def needs_soft_surface(views: tuple[View, View], depths: Depths, check: CrossChe
 
 
 def soften_pair(views: tuple[View, View], depths: Depths, check: CrossCheck) -> Depths:
-    """The depth of both views, on a common smooth surface where the photographs do not confirm it.
-
-    Args:
-        views: both, at different places.
-        depths: of both.
-        check: of the views with these depths.
-    """
+    """The depth of both views, at two places, on a common smooth surface where the photographs do not confirm it."""
     reliability = [_reliability(depth, *layers) for depth, layers in zip(depths, check.crossed, strict=True)]
     surface = _common_surface(views, depths, reliability)
     first, second = (
@@ -148,13 +143,7 @@ def _reliability(depth: DepthEstimate, photo: Layer, other: Layer) -> Float32[np
 
 
 class SurfaceSamples(NamedTuple):
-    """Points that a surface follows.
-
-    Attributes:
-        direction: unit vectors from the middle of two views.
-        inverse_distance: from there, 1/baselines.
-        weight: how much each counts.
-    """
+    """Points that a surface follows: unit vectors from the middle of two views, 1/baselines from there, and weights."""
 
     direction: Float32[np.ndarray, "samples 3"]
     inverse_distance: Float[np.ndarray, " samples"]
@@ -172,10 +161,8 @@ def _common_surface(
     row, col = (np.round(index).astype(np.intp) for index in direction_to_pixel(direction, SURFACE_GRID))
     cell = np.asarray(np.clip(row, 0, SURFACE_GRID[0] - 1) * SURFACE_GRID[1] + col % SURFACE_GRID[1])
     weight = weight / (inverse_distance + SAMPLE_OFFSET)
-    windows = (
-        _window_weights(PLANE_WINDOWS_DEG, PLANE_WINDOW_WEIGHTS),
-        _window_weights(DISTANCE_WINDOWS_DEG, DISTANCE_WINDOW_WEIGHTS),
-    )
+    sizes = (PLANE_WINDOWS_DEG, PLANE_WINDOW_WEIGHTS), (DISTANCE_WINDOWS_DEG, DISTANCE_WINDOW_WEIGHTS)
+    windows = [_window_weights(*each) for each in sizes]
     normals = _fit_planes(SurfaceSamples(direction, inverse_distance, weight), cell, *windows)
     for scale in OUTLIER_SCALES:
         fitted = np.maximum((normals[cell] * direction).sum(axis=-1), 1.0 / FARTHEST_SURFACE_BASELINES)
@@ -205,14 +192,7 @@ def _fit_planes(
     samples: SurfaceSamples, cell: Int[np.ndarray, " samples"],
     plane_window: Float32[np.ndarray, "cells cells"], distance_window: Float32[np.ndarray, "cells cells"],
 ) -> Float[np.ndarray, "cells 3"]:  # fmt: skip
-    """Weighted least squares around every cell.
-
-    Args:
-        samples: to be fitted.
-        cell: of every sample.
-        plane_window: how much the planes of other cells count.
-        distance_window: how much their mean distances count.
-    """
+    """Weighted least squares around every cell, by how much planes and how much mean distances of other cells count."""
     direction, inverse_distance, weight = samples
     centres = pixel_directions(*SURFACE_GRID).reshape(-1, 3)
 
@@ -238,9 +218,8 @@ def _window_weights(sigmas_deg: Sequence[float], shares: Sequence[float]) -> Flo
     centres = pixel_directions(*SURFACE_GRID).reshape(-1, 3).astype(np.float32)
     away = np.clip(1.0 - centres @ centres.T, 0.0, 2.0)
     variances = np.square(np.radians(sigmas_deg))
-    return np.asarray(
-        sum(share / v * np.exp(-away / v) for share, v in zip(shares, variances, strict=True)), np.float32
-    )
+    weights = sum(share / v * np.exp(-away / v) for share, v in zip(shares, variances, strict=True))
+    return np.asarray(weights, np.float32)
 
 
 def _inverse_depth_of(surface: np.ndarray, view: View, middle: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
@@ -266,9 +245,8 @@ def _inverse_depth_of(surface: np.ndarray, view: View, middle: np.ndarray) -> Fl
 def _softened(depth: DepthEstimate, reliability: np.ndarray, soft: np.ndarray) -> DepthEstimate:
     """Depth where it is reliable, and a soft surface elsewhere, mixed in the square root of inverse depth."""
     height, width = depth.inverse_depth.shape
-    x = np.clip(
-        (KEPT_RELIABILITY - _blurred(reliability, width / 80.0)) / (KEPT_RELIABILITY - REPLACED_RELIABILITY), 0.0, 1.0
-    )
+    lacking = KEPT_RELIABILITY - _blurred(reliability, width / 80.0)
+    x = np.clip(lacking / (KEPT_RELIABILITY - REPLACED_RELIABILITY), 0.0, 1.0)
     share = _blurred(x * x * (3.0 - 2.0 * x), width / 160.0)
     soft_sqrt_rho = np.sqrt(resized_to(soft, (height, width), cv2.INTER_LINEAR))
     sqrt_rho = (1.0 - share) * np.sqrt(np.maximum(depth.inverse_depth, 0.0)) + share * soft_sqrt_rho
@@ -279,6 +257,5 @@ def _softened(depth: DepthEstimate, reliability: np.ndarray, soft: np.ndarray) -
 def _blurred(values: np.ndarray, sigma: float) -> Float32[np.ndarray, "height width"]:
     """Smoothed by a Gaussian, ``sigma`` in pixels, across the seam."""
     border = min(int(3 * sigma) + 1, values.shape[1] // 2)
-    return np.asarray(
-        filter_across_seam(lambda image: cv2.GaussianBlur(image, (0, 0), sigma), values.astype(np.float32), border)
-    )
+    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=sigma)
+    return np.asarray(filter_across_seam(blur, values.astype(np.float32), border))

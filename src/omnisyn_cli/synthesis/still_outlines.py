@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from omnisyn_cli.geometry.regions import connected_regions
-from omnisyn_cli.synthesis.nadir_map import DEG_PER_PIXEL, MAP_SIZE, Mask, NadirMap, disc, map_degrees
+from omnisyn_cli.synthesis.nadir_map import DEG_PER_PIXEL, MAP_SIZE, Mask, NadirMap, map_degrees, morphed
 from omnisyn_cli.types import View
 
 MIN_PICTURES, MAX_PICTURES = 3, 12
@@ -54,14 +54,13 @@ def spread_out(count: int) -> list[int]:
 def find_still_region(views: Iterable[View]) -> Mask | None:
     """What moves with the camera in all views, in the :class:`NadirMap` that is not turned; None without any.
 
-    Args:
-        views: taken at several places with one camera that is held alike. Poses do not matter.
+    They were taken at several places with one camera that is held alike. Poses do not matter.
     """
     maps = [NadirMap.of(view, np.eye(3)) for view in views]
     if len(maps) < MIN_PICTURES:
         return None
     edges = _still_edges(maps)
-    label = connected_regions(_morphed(edges, cv2.MORPH_CLOSE, CLOSING_PIXELS), is_diagonal=True)
+    label = connected_regions(morphed(edges, cv2.MORPH_CLOSE, CLOSING_PIXELS), is_diagonal=True)
     radius, outlines = np.hypot(*map_degrees()), np.zeros(edges.shape, bool)
     nadir = radius < DEG_PER_PIXEL
     for number in np.unique(label[edges & (radius <= MAX_END_DEG) & (label > 0)]):
@@ -72,14 +71,14 @@ def find_still_region(views: Iterable[View]) -> Mask | None:
             outlines |= part
     if not outlines.any():
         return None
-    return _morphed(outlines | _surrounded(outlines), cv2.MORPH_DILATE, MARGIN_PIXELS)
+    return morphed(outlines | _surrounded(outlines), cv2.MORPH_DILATE, MARGIN_PIXELS)
 
 
 def _still_edges(maps: Sequence[NadirMap]) -> Mask:
     """Where the median gradient of a colour is large and certain; nowhere beside what is masked."""
     least = MIN_SLOPE if len(maps) < MANY_PICTURES else MIN_SLOPE_OF_MANY
     edges = np.zeros(maps[0].usable.shape, bool)
-    hidden = [_morphed(~each.usable, cv2.MORPH_DILATE, CLOSING_PIXELS) for each in maps]
+    hidden = [morphed(~each.usable, cv2.MORPH_DILATE, CLOSING_PIXELS) for each in maps]
     for channel in range(3):
         gradients = []
         for each, left_out in zip(maps, hidden, strict=True):
@@ -106,7 +105,3 @@ def _surrounded(outlines: Mask) -> Bool[np.ndarray, "rows cols"]:
             met += np.flip(np.maximum.accumulate(np.flip(turned, axis), axis=axis), axis)
         hits += cv2.warpAffine(met, turn, outlines.shape, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
     return np.asarray(hits >= MIN_HITS)
-
-
-def _morphed(mask: Mask, operation: int, reach: int) -> Mask:
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), operation, disc(reach)) > 0)

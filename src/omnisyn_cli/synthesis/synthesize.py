@@ -24,24 +24,15 @@ __all__ = ["Frame", "FrameAllocator", "synthesize", "turned_panorama"]
 
 
 def synthesize(
-    views: Sequence[View],
-    path: Sequence[Waypoint],
-    method: Method,
-    out: FrameAllocator | None = None,
-    on_pair: Callable[[int, Pair], None] | None = None,
-    *,
-    photographs: bool = True,
-) -> Iterator[Frame]:
+    views: Sequence[View], path: Sequence[Waypoint], method: Method, out: FrameAllocator | None = None,
+    on_pair: Callable[[int, Pair], None] | None = None, *, photographs: bool = True,
+) -> Iterator[Frame]:  # fmt: skip
     """All frames of a path, in order: the photographs themselves where they were taken, between them the method's.
 
-    Args:
-        views: the panoramas of the chain, in order.
-        path: waypoints with ascending segments, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
-        method: makes the frames between photographs.
-        out: gives memory for frames that are wanted rounded to 8 bits; where nothing stands against it they are
-            rounded as they are made. Photographs shown unchanged are not.
-        photographs: show these themselves where they were taken; else frames are made there as well.
-        on_pair: called with the index of its first view and each pair, before the first frame between the two.
+    The path has waypoints with ascending segments, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`. ``out``
+    gives memory for frames that are wanted rounded to 8 bits; where nothing stands against it they are rounded as they
+    are made. Photographs shown unchanged are not. Without ``photographs`` frames are made there as well. ``on_pair`` is
+    called with the index of its first view and each pair, before the first frame between the two.
     """
     pair: Pair | None = None
     current = -1

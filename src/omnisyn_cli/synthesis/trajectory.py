@@ -63,9 +63,8 @@ def plan_path(
         raise ValueError(f"expected at least one frame per panorama ({len(poses)}), got {frames}")
     where = _places(_segment_lengths(poses), frames, ease)
     segment_index = np.minimum(where.astype(int), len(poses) - 2)
-    return [
-        w for k in range(len(poses) - 1) for w in _segment_waypoints(poses, k, where[segment_index == k] - k, heading)
-    ]
+    shares = [where[segment_index == k] - k for k in range(len(poses) - 1)]
+    return [waypoint for k, t in enumerate(shares) for waypoint in _segment_waypoints(poses, k, t, heading)]
 
 
 def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:

@@ -35,12 +35,8 @@ def confidence_step(
     """A step that writes the confidence of some rows, in [0, 1]; it changes no colours.
 
     It is 0 where neither layer shows anything; near 1 where both show one colour at one depth and their depth is
-    reliable; 0.6 where only one shows something; low where they contradict each other in depth or colour.
-
-    Args:
-        first_depth: inverse depth of the first layer.
-        second_depth: of the second layer.
-        out: written.
+    reliable; 0.6 where only one shows something; low where they contradict each other in depth or colour. Depths are
+    the inverse depths of both layers; ``out`` is written.
     """
     tolerances = ConfidenceTolerances(ONE_VIEW_CONFIDENCE, DEPTH_TOLERANCE, COLOUR_TOLERANCE)
 
@@ -61,16 +57,7 @@ class ConfidenceTolerances(NamedTuple):
 
 @fast_kernel()
 def _confidence_rows(first, first_rho, second, second_rho, tolerances, out):
-    """Confidence of some rows.
-
-    Args:
-        first: ``(height, width, 4)`` RGB and weight.
-        first_rho: its inverse depth.
-        second: as ``first``.
-        second_rho: as ``first_rho``.
-        tolerances: :class:`ConfidenceTolerances`.
-        out: ``(height, width)``, written.
-    """
+    """Confidence of rows of layers ``(height, width, 4)``, RGB and weight, and their inverse depths, into ``out``."""
     zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(out.shape[0]):
         for col in range(out.shape[1]):

@@ -99,9 +99,7 @@ class WindowComparison(NamedTuple):
 def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:
     """The confidence of a pair, from layers of equal exposure; those of a tuple have one size.
 
-    Args:
-        across: at both panoramas: the photograph itself, and the other view's layer there.
-        middle: both layers half way.
+    ``across``: at both panoramas, the photograph itself and the other view's layer there. ``middle``: both half way.
     """
     errors = [_mean_error(own, other) for own, other in (*across, middle)]
     # The photographs against each other count as much as the layers half way.
@@ -144,12 +142,7 @@ def _doubling(one: Layer, other: Layer) -> float:
 
 
 def compare_windows(one: Layer, other: Layer) -> WindowComparison:
-    """What two layers show in the window around every pixel, compared where both show something.
-
-    Args:
-        one: of the one view.
-        other: of the other view; of the same size and exposure.
-    """
+    """What two layers of one size and exposure show in windows around pixels, compared where both show something."""
     seen = (_seen(one) & _seen(other)).astype(np.float32)
     a, b = (np.clip(layer.colour[..., :3], 0.0, 1.0).mean(axis=-1) for layer in (one, other))
     side = max(3, len(seen) // CONTOUR_ROWS)

@@ -127,18 +127,12 @@ def _to_stops(srgb: np.ndarray) -> np.ndarray:
 
 
 def estimate_curve(
-    first: Float[np.ndarray, "samples 3"],
-    second: Float[np.ndarray, "samples 3"],
-    weight: Float[np.ndarray, " samples"],
+    first: Float[np.ndarray, "samples 3"], second: Float[np.ndarray, "samples 3"], weight: Float[np.ndarray, " samples"]
 ) -> ExposureCurve:
     """The gain between two pictures of the same places; zero where they are alike or too little can be compared.
 
-    Up to half of the samples of each level may show different things.
-
-    Args:
-        first: sRGB values in [0, 1].
-        second: likewise, of the same places.
-        weight: >= 0; how much each place counts.
+    Values are sRGB in [0, 1], and ``weight`` >= 0 is how much each place counts. Up to half of the samples of each
+    level may show different things.
     """
     fits = [_fit_channel(first[:, k], second[:, k], weight) for k in range(3)]
     is_alike = max(fit.rms_gain for fit in fits) < MIN_GAIN_STOPS
@@ -150,12 +144,10 @@ def estimate_curve(
 def cross_validated_curve(
     samples: Sequence[tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"], np.ndarray]],
 ) -> ExposureCurve:
-    """The curve of all samples; zero unless the curve of each half holds in the other half.
+    """The curve of two halves of samples, each as the arguments of :func:`estimate_curve`.
 
-    Wrong depth pairs different places, and a curve fits these as well. But then few samples agree with it.
-
-    Args:
-        samples: two halves, each as the arguments of :func:`estimate_curve`.
+    It is zero unless the curve of each half holds in the other half. Wrong depth pairs different places, and a curve
+    fits these as well. But then few samples agree with it.
     """
     for half, other in (samples, samples[::-1]):
         inliers, without, by_chance = _inlier_shares(estimate_curve(*half), *other)
@@ -195,13 +187,7 @@ def _usable_stops(
 
 @dataclass(frozen=True)
 class _ChannelFit:
-    """One channel's gain at the knots, and how good it is.
-
-    Attributes:
-        gain: stops at the knots.
-        rms_gain: stops, root mean square of the gain over what is seen.
-        error_before, error_after: stops, mean difference of samples without and with the gain.
-    """
+    """Of one channel: stops of gain at the knots, their RMS over what is seen, mean differences without and with it."""
 
     gain: Float[np.ndarray, " knots"]
     rms_gain: float
@@ -213,11 +199,8 @@ def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray
     """A rough gain between two pictures of one scene, without correspondences.
 
     One constant per channel, the median difference in stops between equal quantiles; zero if it is small in all
-    channels. It is good enough to find matches by.
-
-    Args:
-        first: sRGB values in [0, 1], each standing for the same share of the sphere.
-        second: likewise.
+    channels. It is good enough to find matches by. Each sample, sRGB in [0, 1], stands for the same share of the
+    sphere.
     """
     low, high = USABLE_SRGB
     gain = np.zeros((3, len(KNOTS)))

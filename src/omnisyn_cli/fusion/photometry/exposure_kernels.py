@@ -30,13 +30,10 @@ def look_up_rows(image, table, begin, end):
 
 @fast_kernel()
 def expose_rows(colour, table, loss, clipping):
-    """Apply ``table`` to colours in place; clipped pixels lose a share of their weight.
+    """Send colours ``(rows, width, 4)`` through a table, in place; clipped pixels lose a share of their weight.
 
-    Args:
-        colour: ``(rows, width, 4)`` RGB and weight.
-        table: ``(3, entries)`` for values from 0 to 1; others go on in proportion to its ends.
-        loss: share of the weight that a white pixel loses.
-        clipping: sRGB value from which on a channel counts as clipped, gradually up to 1.
+    ``table`` ``(3, entries)`` is for values from 0 to 1; others go on in proportion to its ends. ``loss`` is the share
+    of the weight that a white pixel loses; ``clipping`` the sRGB value from which on a channel counts as clipped.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(colour.shape[0]):

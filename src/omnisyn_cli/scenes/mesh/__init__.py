@@ -7,8 +7,7 @@ from omnisyn_cli.scenes.mesh.lighting import Lighting, draw_lighting
 from omnisyn_cli.scenes.mesh.places import Place, find_line, find_places, find_walk
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
 from omnisyn_cli.scenes.mesh.render import MeshScene, render_mesh
-from omnisyn_cli.scenes.mesh.texturing import untextured_share
-from omnisyn_cli.scenes.mesh.variation import papered_mesh, varied_mesh
+from omnisyn_cli.scenes.mesh.texturing import papered_mesh, untextured_share, varied_mesh
 
 __all__ = [
     "Lighting",

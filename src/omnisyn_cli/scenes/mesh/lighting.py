@@ -32,14 +32,12 @@ class Lighting:
     """What shines on a scene; units in which a white wall in full light is about 1.
 
     Attributes:
-        directions: ``(n, 3)`` spread over the sphere, that every point asks.
-        sky: ``(n, 3)`` light from each direction where nothing is in the way.
-        bounced: ``(3,)`` light of walls far away; nearer ones are darker.
+        directions: spread over the sphere, that every point asks.
+        sky: light from each direction where nothing is in the way.
+        bounced: light of walls far away; nearer ones are darker.
         reach: metres from which on a wall is as bright as ``bounced``.
-        lamps: ``(k, 3)`` positions.
-        lamp_light: ``(k, 3)`` at a metre.
-        horizon: ``(3,)`` colour in [0, 1] of what is seen where nothing is; towards the zenith it becomes ``zenith``.
-        zenith: ``(3,)``.
+        lamps, lamp_light: positions, and their light at a metre.
+        horizon, zenith: colours in [0, 1] of what is seen where nothing is.
     """
 
     directions: Float[np.ndarray, "n 3"]
@@ -102,15 +100,12 @@ def sphere_directions(count: int, turn: float = 0.0) -> Float[np.ndarray, "count
 def draw_lighting(caster: MeshCaster, rng: np.random.Generator, around: Float[np.ndarray, " 3"], rays: int) -> Lighting:
     """Light by chance: some sky, brighter on one side, and lamps at emissive faces or below what is above.
 
-    Args:
-        caster: of the mesh.
-        rng: random numbers.
-        around: a place for cameras; lamps hang near it where the mesh has none.
-        rays: directions that every point asks.
+    Lamps hang near ``around``, a place for cameras, where the mesh has none. Every point asks ``rays`` directions.
     """
     directions = sphere_directions(rays, rng.uniform(0.0, 2.0 * math.pi))
     tint = np.exp(rng.normal(0.0, 0.08, 3))
-    sun = _unit(rng.normal([0.0, 1.0, 0.0], 1.0))
+    sun = rng.normal([0.0, 1.0, 0.0], 1.0)
+    sun /= np.linalg.norm(sun)
     lobe = np.exp(rng.uniform(1.0, 5.0) * (directions @ sun - 1.0))
     bounced = rng.uniform(0.15, 0.5)
     if rng.random() < SOFT:
@@ -119,15 +114,12 @@ def draw_lighting(caster: MeshCaster, rng: np.random.Generator, around: Float[np
         brightness = np.where(directions[:, 1] > 0, 1.0, 0.4) * rng.uniform(0.8, 2.2) + rng.uniform(0.0, 6.0) * lobe
     lamps = _lamps(caster, rng, around, int(rng.integers(*LAMPS)))
     return Lighting(
-        directions=directions,
-        sky=brightness[:, None] * tint,
-        bounced=bounced * np.exp(rng.normal(0.0, 0.05, 3)),
-        reach=rng.uniform(1.5, 4.0),
-        lamps=lamps,
+        directions=directions, sky=brightness[:, None] * tint, bounced=bounced * np.exp(rng.normal(0.0, 0.05, 3)),
+        reach=rng.uniform(1.5, 4.0), lamps=lamps,
         lamp_light=rng.uniform(0.5, 3.0) * np.array([1.05, 1.0, 0.9]) * np.exp(rng.normal(0.0, 0.1, (len(lamps), 3))),
         horizon=np.clip(np.array([0.88, 0.91, 0.94]) * np.exp(rng.normal(0.0, 0.08, 3)), 0.0, 1.0),
         zenith=np.clip(np.array([0.37, 0.55, 0.80]) * np.exp(rng.normal(0.0, 0.2, 3)), 0.0, 1.0),
-    )
+    )  # fmt: skip
 
 
 def _lamps(caster: MeshCaster, rng: np.random.Generator, around: np.ndarray, count: int) -> np.ndarray:
@@ -148,7 +140,3 @@ def _lamps(caster: MeshCaster, rng: np.random.Generator, around: np.ndarray, cou
     rise = np.minimum(np.where(np.isinf(above), 2.0, above) * rng.uniform(0.5, 0.9, count), 3.0)
     places[:, 1] += rise
     return np.asarray(places)
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return np.asarray(vector / np.linalg.norm(vector))

@@ -50,12 +50,7 @@ PLACES = 40
 
 @dataclass(frozen=True)
 class Place:
-    """A place for a camera.
-
-    Attributes:
-        position: ``(3,)`` metres.
-        median: distance of what is around it, metres.
-    """
+    """A place for a camera, and the median distance of what is around it; metres."""
 
     position: Float[np.ndarray, " 3"]
     median: float

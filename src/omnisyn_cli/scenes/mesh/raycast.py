@@ -24,14 +24,7 @@ MISS_DISTANCE_BOUND = 1e30
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays hit first.
-
-    Attributes:
-        origins: metres.
-        directions: unit vectors.
-        face: −1 where there is nothing.
-        distance: metres, infinite where there is nothing.
-    """
+    """What rays hit first: from origins in metres along unit vectors a face, −1 and infinitely far where nothing is."""
 
     origins: Float[np.ndarray, "rays 3"]
     directions: Float[np.ndarray, "rays 3"]
@@ -54,25 +47,15 @@ class Hits:
 
 
 class Caster:
-    """Triangles prepared for rays.
+    """Triangles (metres), at least one, prepared for rays.
 
-    Args:
-        vertices: metres.
-        faces: at least one.
-        perforated: faces that may have holes.
-        is_hole: of faces and points on them, whether a ray passes there.
-
-    Raises:
-        InputError: Embree is not installed.
+    Rays pass ``perforated`` faces where ``is_hole(faces, points)``. InputError: Embree is not installed.
     """
 
     def __init__(
-        self,
-        vertices: Float32[np.ndarray, "vertices 3"],
-        faces: Int32[np.ndarray, "faces 3"],
-        perforated: Bool[np.ndarray, " faces"],
-        is_hole: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    ) -> None:
+        self, vertices: Float32[np.ndarray, "vertices 3"], faces: Int32[np.ndarray, "faces 3"],
+        perforated: Bool[np.ndarray, " faces"], is_hole: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    ) -> None:  # fmt: skip
         try:
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene

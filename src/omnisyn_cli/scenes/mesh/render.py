@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -39,32 +38,15 @@ Shader = Callable[[Hits, float, int], Float[np.ndarray, "rays 3"]]
 """Colours (sRGB in [0, 1]) of one sample of every pixel: what is seen, radians between samples, and which sample."""
 
 
-class Drawable(Protocol):
-    """What a panorama can be drawn of."""
-
-    @property
-    def caster(self) -> Caster:
-        """What rays hit."""
-
-    def shader(self, centre: Hits) -> Shader:
-        """For samples of pixels whose centres see this."""
-
-
 def render(
-    scene: Drawable, pose: Pose, size: tuple[int, int], supersample: int, threads: int | None = None
-) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
-    """Render one panorama.
+    caster: Caster, shader: Callable[[Hits], Shader], pose: Pose, size: tuple[int, int], supersample: int,
+    threads: int | None = None,
+) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:  # fmt: skip
+    """Render one panorama: RGB in [0, 1], and metres along the ray of each pixel's centre, inf where there is nothing.
 
-    Args:
-        scene: what is drawn.
-        pose: world from camera, y up.
-        size: ``(height, width)``.
-        supersample: colour samples per pixel along each axis.
-        threads: None for one per core; the result does not depend on it.
-
-    Returns:
-        ``(image, depth)``: RGB in [0, 1], and Euclidean metres along the ray of the pixel's centre, inf where there is
-        nothing.
+    ``caster`` says what rays hit, ``shader`` how samples look of pixels whose centres see some hits. ``pose`` is world
+    from camera, y up, ``size`` ``(height, width)``. A pixel has ``supersample``² colour samples. The result does not
+    depend on ``threads`` (None: one per core).
     """
     height, width = size
     image, depth = np.zeros((height, width, 3), np.float32), np.empty((height, width), np.float32)
@@ -73,14 +55,14 @@ def render(
     def hits(begin: int, end: int, step: int, row: int, col: int, grid: tuple[int, int]) -> Hits:
         rows, cols = np.arange(begin, end) * step + row, np.arange(width) * step + col
         directions = pixel_to_direction(rows[:, None], cols[None], grid).reshape(-1, 3)
-        return scene.caster.hits(pose.position[None], directions @ pose.rotation.T)
+        return caster.hits(pose.position[None], directions @ pose.rotation.T)
 
     def draw(first_band: int, last_band: int) -> None:
         for begin in range(first_band * BAND_ROWS, min(height, last_band * BAND_ROWS), BAND_ROWS):
             end = min(height, begin + BAND_ROWS)
             centre = hits(begin, end, 1, 0, 0, size)
             depth[begin:end] = centre.distance.reshape(-1, width)
-            shade, total = scene.shader(centre), np.zeros((end - begin, width, 3))
+            shade, total = shader(centre), np.zeros((end - begin, width, 3))
             for sample in range(supersample**2):
                 seen = hits(begin, end, supersample, *divmod(sample, supersample), fine)
                 total += shade(seen, pixel, sample).reshape(total.shape) ** 2  # light adds up, not its roots
@@ -92,13 +74,9 @@ def render(
 
 @dataclass(frozen=True)
 class MeshScene:
-    """A mesh in its light.
+    """A mesh, ready for rays, with its textures in its light.
 
-    Attributes:
-        caster: the mesh, ready for rays.
-        colours: its textures.
-        lighting: what shines on it.
-        exposure: factor on light; None chooses one for each picture.
+    ``exposure`` is a factor on light; None chooses one for each picture.
     """
 
     caster: MeshCaster
@@ -155,7 +133,8 @@ def render_mesh(
     scene: MeshScene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
     """:func:`render` of a mesh, with the exposure that suits the pose where the scene has none."""
-    return render(scene if scene.exposure else scene.exposed_at(pose), pose, size, supersample, threads)
+    scene = scene if scene.exposure else scene.exposed_at(pose)
+    return render(scene.caster, scene.shader, pose, size, supersample, threads)
 
 
 def developed(light: Float[np.ndarray, "*shape"], exposure: float) -> Float[np.ndarray, "*shape"]:

@@ -1,10 +1,16 @@
-"""Colours of points on a mesh: textures with mip levels, by texture coordinates or projected along the axes."""
+"""Colours of points on a mesh: textures with mip levels, by texture coordinates or projected along the axes.
+
+And meshes made different every time they are learned from: size, handedness, furniture, materials.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
-from omnisyn_cli.geometry.textured_mesh import TexturedMesh
+from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 from omnisyn_cli.scenes.mesh.raycast import Hits, MeshCaster
 
 SHINING = 3.0
@@ -15,11 +21,7 @@ MIP_LEVELS = 10
 
 
 class SurfaceColours:
-    """Textures of a mesh, ready to be looked up.
-
-    Args:
-        caster: of the mesh.
-    """
+    """Textures of a mesh, ready to be looked up."""
 
     def __init__(self, caster: MeshCaster) -> None:
         self._caster, self._mesh = caster, caster.mesh
@@ -60,9 +62,8 @@ class SurfaceColours:
         if mesh.light_map is not None and mesh.light_uv is not None and is_baked.any():
             face = hits.face[is_baked]
             weights = self._caster.barycentric(face, hits.points[is_baked])
-            light[is_baked] = bilinear(
-                mesh.light_map, np.clip(_interpolated(weights, mesh.light_uv[mesh.faces[face]]), 0.0, 1.0)
-            )
+            uv = np.clip(_interpolated(weights, mesh.light_uv[mesh.faces[face]]), 0.0, 1.0)
+            light[is_baked] = bilinear(mesh.light_map, uv)
         light[is_lit], light[is_emissive] = 1.0, SHINING
         return light
 
@@ -128,3 +129,73 @@ def untextured_share(mesh: TexturedMesh) -> float:
     plain = np.array([not material.is_textured for material in mesh.materials])[mesh.face_material]
     areas = mesh.face_areas()
     return float(areas[plain].sum() / max(areas.sum(), 1e-12))
+
+
+SCALES = (0.75, 1.35)
+"""Least and largest factor of the size. Set by hand."""
+
+DROP_CHANCE = 0.12
+"""Chance that a small material's faces are left out."""
+
+MAX_DROPPED_AREA_SHARE = 0.04
+"""Share of the area up to which a material may be left out."""
+
+PHOTO_SHARES = (0.0, 0.8)
+"""Share of the materials without texture that get a photograph, between which a scene draws its own."""
+
+REPLACEMENT_CHANCE = 0.15
+"""Chance that a textured material gets another photograph."""
+
+TILES = (0.4, 4.0)
+"""Metres that a photograph spans."""
+
+Photos = Sequence[UInt8[np.ndarray, "height width 3"]]
+"""Photographs of surfaces."""
+
+
+def varied_mesh(mesh: TexturedMesh, rng: np.random.Generator, photos: Photos) -> TexturedMesh:
+    """The mesh in another size, mirrored or not, with other materials and some things left out.
+
+    Its light map, if any, stays. Without photographs, materials get other colours only.
+    """
+    kept = _kept_faces(mesh, rng)
+    scale = np.exp(rng.uniform(*np.log(SCALES))) * np.array([rng.choice([-1.0, 1.0]), 1.0, 1.0])
+    share = rng.uniform(*PHOTO_SHARES)
+    return replace(
+        mesh,
+        vertices=(mesh.vertices * scale).astype(np.float32),
+        faces=mesh.faces[kept],
+        face_material=mesh.face_material[kept],
+        materials=tuple(_varied(material, rng, photos, share) for material in mesh.materials),
+    )
+
+
+def papered_mesh(mesh: TexturedMesh, rng: np.random.Generator, photos: Photos) -> TexturedMesh:
+    """The mesh with a photograph on every material that has no texture and does not shine."""
+    materials = []
+    for material in mesh.materials:
+        photo, tile = int(rng.integers(len(photos))), rng.uniform(*np.log(TILES))
+        if not (material.is_textured or material.is_emissive):
+            material = replace(material, texture=photos[photo], tile=float(np.exp(tile)))
+        materials.append(material)
+    return replace(mesh, materials=tuple(materials))
+
+
+def _kept_faces(mesh: TexturedMesh, rng: np.random.Generator) -> Bool[np.ndarray, " faces"]:
+    areas = np.bincount(mesh.face_material, mesh.face_areas(), len(mesh.materials))
+    is_small = areas < MAX_DROPPED_AREA_SHARE * areas.sum()
+    dropped = is_small & (rng.random(len(areas)) < DROP_CHANCE * rng.random())
+    return np.asarray(~dropped[mesh.face_material])
+
+
+def _varied(material: Material, rng: np.random.Generator, photos: Photos, share: float) -> Material:
+    # the same numbers are drawn for every material, so that one more photograph does not change all others
+    chance, photo = rng.random(), int(rng.integers(1 << 30))
+    tile, tint = rng.uniform(*np.log(TILES)), rng.normal(0, 1, 3)
+    if material.is_emissive or material.is_lightmapped or material.is_lit:
+        return material
+    if photos and chance < (REPLACEMENT_CHANCE if material.is_textured else share) and material.opacity is None:
+        return replace(material, texture=photos[photo % len(photos)], tile=float(np.exp(tile)))
+    if not material.is_textured:
+        return replace(material, colour=np.clip(material.colour * np.exp(0.15 * tint + 0.1 * tint[0]), 0.02, 0.98))
+    return material
