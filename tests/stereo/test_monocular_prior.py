@@ -9,7 +9,11 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo.disparity import DisparityMap
 from omnisyn_cli.stereo.monocular_answer import (
-    READINGS, MonocularAnswer, MonocularModel, perspective_size, picture_rotations,
+    READINGS,
+    MonocularAnswer,
+    MonocularModel,
+    perspective_size,
+    picture_rotations,
 )  # fmt: skip
 from omnisyn_cli.stereo.monocular_prior import ALIGNMENT_SIZE, align, with_monocular_priors
 from omnisyn_cli.stereo.rectify import rectify

@@ -25,8 +25,8 @@ from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.poses.file import PosedPanorama
 
 SURFACE_FIELDS = (
-    "preset", "depth", "model", "depth_prior", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback", "save_confidence",
-    "save_depth", "view",
+    "preset", "depth", "model", "depth_prior", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback",
+    "save_confidence", "save_depth", "view",
 )  # fmt: skip
 """Fields of a job that mean nothing to the methods that it is compared with."""
 
