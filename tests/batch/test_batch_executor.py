@@ -43,8 +43,8 @@ class MortalExecutor:
         worker = self._random.choice(sorted(self._busy))
         job = self._busy.pop(worker)
         if self._random.random() < self._mortality:
-            return [Report(worker, None, "signal 9")]
-        return [Report(worker, Answer(job.payload, None, None, str(worker)))]
+            return [(worker, "signal 9")]
+        return [(worker, Answer(job.payload, None, None, str(worker)))]
 
 
 jobs_of_any_kind = st.lists(

@@ -4,14 +4,14 @@ An :class:`Executor` is a number of workers (:mod:`.local_executor`: processes o
 actors of a cluster). Each holds one work function, made once from a :class:`Work`, and is given one job at a time.
 """
 
-import importlib
 import os
 import platform
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import Any, Protocol
 
 from omnisyn_cli.errors import OmnisynError
@@ -78,13 +78,8 @@ class Outcome:
     attempts: int
 
 
-@dataclass(frozen=True)
-class Report:
-    """News of one worker: its answer, or how it died."""
-
-    worker: int
-    answer: Answer | None
-    death: str = ""
+Report = tuple[int, Answer | str]
+"""News of one worker: its answer, or how it died."""
 
 
 class Worker:
@@ -102,14 +97,13 @@ class Worker:
         """The value for a payload, or the error that it ended with; only signals get through."""
         try:
             if self._function is None:
-                module, _, name = self._work.factory.partition(":")
-                self._function = getattr(importlib.import_module(module), name)(self._work.settings)
+                self._function = resolve_name(self._work.factory)(self._work.settings)
             return Answer(self._function(payload), None, None, self._name)
         except OmnisynError as error:
-            return Answer(None, " ".join(str(error).splitlines()), None, self._name)
+            message, trace = str(error), None
         except Exception as error:  # noqa: BLE001  whatever it is, the other jobs go on; the traceback is kept
-            message = f"{type(error).__name__}: {error}"
-            return Answer(None, " ".join(message.splitlines()), traceback.format_exc(), self._name)
+            message, trace = f"{type(error).__name__}: {error}", traceback.format_exc()
+        return Answer(None, " ".join(message.splitlines()), trace, self._name)
 
 
 class Executor(AbstractContextManager["Executor"], Protocol):
@@ -131,61 +125,41 @@ def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None
     An error of a job and the death of a worker stop nothing: a dead worker is replaced, its job is tried once more, and
     fails when that kills its worker again.
     """
-    queue = _JobQueue(jobs)
-    if not queue.is_open():
+    waiting = deque(_groups(jobs))
+    groups_of_workers: dict[int, deque[Job]] = {}
+    running: dict[int, Job] = {}
+    deaths: Counter[str] = Counter()
+    if not waiting:
         return
     with executor:
-        while queue.is_open():
+        while waiting or running or any(groups_of_workers.values()):
             for worker in executor.ready():
-                if (job := queue.next_for(worker)) is not None:
-                    executor.submit(worker, job)
-            for report in executor.wait():
-                if (outcome := queue.finish_report(report)) is not None:
-                    yield outcome
+                if not groups_of_workers.get(worker) and waiting:
+                    groups_of_workers[worker] = waiting.popleft()
+                if group := groups_of_workers.get(worker):
+                    running[worker] = group.popleft()
+                    executor.submit(worker, running[worker])
+            for worker, answer in executor.wait():
+                job = running.pop(worker)
+                if isinstance(answer, Answer):
+                    yield Outcome(job, answer, deaths[job.key] + 1)
+                    continue
+                deaths[job.key] += 1
+                rest = groups_of_workers.pop(worker)
+                is_lost = deaths[job.key] >= MAX_WORKER_DEATHS
+                if not is_lost:
+                    rest.appendleft(job)
+                if rest:
+                    waiting.appendleft(rest)
+                if is_lost:
+                    yield Outcome(job, _lost(answer), deaths[job.key])
 
 
-class _JobQueue:
-    """What waits, and who works on what."""
-
-    def __init__(self, jobs: Iterable[Job]) -> None:
-        self._waiting: deque[deque[Job]] = deque(deque(group) for group in _groups(jobs))
-        self._groups_of_workers: dict[int, deque[Job]] = {}
-        self._running: dict[int, Job] = {}
-        self._deaths: Counter[str] = Counter()
-
-    def is_open(self) -> bool:
-        """Whether anything waits or runs."""
-        return bool(self._waiting or self._running or any(self._groups_of_workers.values()))
-
-    def next_for(self, worker: int) -> Job | None:
-        """The next job of the worker's group, or of the next group."""
-        if not self._groups_of_workers.get(worker):
-            if not self._waiting:
-                return None
-            self._groups_of_workers[worker] = self._waiting.popleft()
-        job = self._running[worker] = self._groups_of_workers[worker].popleft()
-        return job
-
-    def finish_report(self, report: Report) -> Outcome | None:
-        """The outcome of the job that a report is about; None if it has to be tried again."""
-        job = self._running.pop(report.worker)
-        if report.answer is not None:
-            return Outcome(job, report.answer, self._deaths[job.key] + 1)
-        self._deaths[job.key] += 1
-        rest = self._groups_of_workers.pop(report.worker)
-        is_lost = self._deaths[job.key] >= MAX_WORKER_DEATHS
-        if not is_lost:
-            rest.appendleft(job)
-        if rest:
-            self._waiting.appendleft(rest)
-        return Outcome(job, _lost(report.death), self._deaths[job.key]) if is_lost else None
-
-
-def _groups(jobs: Iterable[Job]) -> Sequence[list[Job]]:
+def _groups(jobs: Iterable[Job]) -> list[deque[Job]]:
     """Jobs by group in the order given; the most expensive group first."""
-    groups: dict[tuple[str, str], list[Job]] = {}
+    groups: dict[tuple[str, str], deque[Job]] = {}
     for job in jobs:
-        groups.setdefault(("job", job.key) if job.group is None else ("group", job.group), []).append(job)
+        groups.setdefault(("job", job.key) if job.group is None else ("group", job.group), deque()).append(job)
     return sorted(groups.values(), key=lambda group: -sum(job.cost for job in group))
 
 

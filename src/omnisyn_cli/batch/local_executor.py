@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from dataclasses import dataclass
+from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Self
@@ -22,12 +22,6 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 """Environment variables by which numerical libraries take their number of threads."""
 
 
-@dataclass(frozen=True)
-class _WorkerProcess:
-    process: SpawnProcess
-    connection: Connection
-
-
 class LocalExecutor:
     """An :class:`~omnisyn_cli.batch.executor.Executor` of processes; each is started when its first job is given.
 
@@ -39,22 +33,22 @@ class LocalExecutor:
 
     def __init__(self, work: Work, workers: int, threads: int) -> None:
         self._work, self._size, self._threads = work, workers, threads
-        self._workers: dict[int, _WorkerProcess] = {}
+        self._workers: dict[int, tuple[SpawnProcess, Connection]] = {}
         self._busy: set[int] = set()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        for worker_process in self._workers.values():
-            worker_process.connection.close()
+    def __exit__(self, kind: type[BaseException] | None, *about: object) -> None:
+        for process, connection in self._workers.values():
+            connection.close()
             if kind is not None:
-                worker_process.process.kill()
-        for worker_process in self._workers.values():
-            worker_process.process.join(SHUTDOWN_TIMEOUT_SECONDS)
-            if worker_process.process.is_alive():
-                worker_process.process.kill()
-                worker_process.process.join()
+                process.kill()
+        for process, _ in self._workers.values():
+            process.join(SHUTDOWN_TIMEOUT_SECONDS)
+            if process.is_alive():
+                process.kill()
+                process.join()
         self._workers.clear()
 
     def ready(self) -> list[int]:
@@ -63,39 +57,36 @@ class LocalExecutor:
 
     def submit(self, worker: int, job: Job) -> None:
         """Start a job; a process that died while it had nothing to do is replaced."""
-        worker_process = self._workers.get(worker)
-        if worker_process is None or not worker_process.process.is_alive():
-            worker_process = self._workers[worker] = self._spawn()
+        if worker not in self._workers or not self._workers[worker][0].is_alive():
+            self._workers[worker] = self._spawn()
         self._busy.add(worker)
-        try:
-            worker_process.connection.send(job)
-        except BrokenPipeError:
-            return  # it died just now, which wait() will report
+        with suppress(BrokenPipeError):  # it died just now, which wait() will report
+            self._workers[worker][1].send(job)
 
     def wait(self) -> list[Report]:
         """Reports of all that have ended a job, or died, by now; waits for the first."""
-        connections = {self._workers[worker].connection: worker for worker in self._busy}
+        connections = {self._workers[worker][1]: worker for worker in self._busy}
         return [self._report(connections[ended]) for ended in wait(list(connections)) if isinstance(ended, Connection)]
 
     def _report(self, worker: int) -> Report:
-        worker_process = self._workers[worker]
+        process, connection = self._workers[worker]
         self._busy.discard(worker)
         try:
-            return Report(worker, worker_process.connection.recv())
+            return worker, connection.recv()
         except (EOFError, OSError):
-            worker_process.process.join()
-            worker_process.connection.close()
+            process.join()
+            connection.close()
             del self._workers[worker]
-            code = worker_process.process.exitcode
-            return Report(worker, None, f"signal {-code}" if code is not None and code < 0 else f"exit code {code}")
+            code = process.exitcode
+            return worker, f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
 
-    def _spawn(self) -> _WorkerProcess:
+    def _spawn(self) -> tuple[SpawnProcess, Connection]:
         context = spawn_context()
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._work, self._threads), daemon=True)
         process.start()
         theirs.close()
-        return _WorkerProcess(process, ours)
+        return process, ours
 
 
 def _serve(connection: Connection, work: Work, threads: int) -> None:
@@ -105,12 +96,9 @@ def _serve(connection: Connection, work: Work, threads: int) -> None:
         os.environ.setdefault(name, str(threads))
     end_with_parent()
     worker = Worker(work)
-    while True:
-        try:
-            job = connection.recv()
-            connection.send(worker.perform(job.payload))
-        except (EOFError, OSError):
-            return
+    with suppress(EOFError, OSError):
+        while True:
+            connection.send(worker.perform(connection.recv().payload))
 
 
 def end_with_parent() -> None:

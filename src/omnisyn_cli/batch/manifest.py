@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from omnisyn_cli.batch.schema import JOB_KEYS, Line, problem_sentences, read_lines
+from omnisyn_cli.batch.schema import LINE_FIELDS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
 from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES, InterpolationJob, targets
@@ -141,7 +141,7 @@ class _Reader:
     def _job(self, line: Any) -> BatchJob:
         if line.scene is None and (line.inputs is None or line.poses is None):
             raise InputError("expected inputs with poses, or a scene, got neither; name one of them")
-        base = self._folder if line.scene is None else self._folder / line.scene
+        base = self._folder / (line.scene or "")
         poses = self._pose_path(line, base)
         pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses, line.allow_outside)
         if isinstance(pose_file, str):
@@ -151,7 +151,7 @@ class _Reader:
         if pose_file is not None:
             for image in images:
                 pose_file.of(image)
-        options = line.model_dump(exclude=set(JOB_KEYS), exclude_defaults=True)
+        options = line.model_dump(exclude=set(LINE_FIELDS), exclude_defaults=True)
         _check_together(options, is_found=pose_file is None)
         if "masks" in options:
             options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]

@@ -152,6 +152,5 @@ def _is_same(path: Path, recorded: Any) -> bool:
         _, size, changed = file_stamp(path)
     except OSError:
         return recorded["sha256"] is None
-    if (size, changed) == (recorded["bytes"], recorded["changed"]):
-        return True
-    return bool(size == recorded["bytes"] and hash_file(path)["sha256"] == recorded["sha256"])
+    is_touched = changed != recorded["changed"]
+    return size == recorded["bytes"] and not (is_touched and hash_file(path)["sha256"] != recorded["sha256"])

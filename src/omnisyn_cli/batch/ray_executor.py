@@ -88,9 +88,9 @@ class RayExecutor:
             answer = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             self._expect(worker)
-            return Report(worker, None, _first_line(error))
+            return worker, _first_line(error)
         self._idle.add(worker)
-        return Report(worker, answer)
+        return worker, answer
 
     def _expect(self, worker: int) -> None:
         """Have Ray tell when an actor lives (again)."""
