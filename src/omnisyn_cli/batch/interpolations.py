@@ -20,8 +20,7 @@ from omnisyn_cli.batch.provenance import digest_of_network, file_stamp, job_sour
 from omnisyn_cli.interpolation.loading import CachedPanorama
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
-from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
-from omnisyn_cli.io.placement import DEFAULT_READING, Reading
+from omnisyn_cli.io import Panorama, read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -69,19 +68,15 @@ class PanoramaCache(LRUCache[CachedPanorama]):
     def __init__(self) -> None:
         super().__init__(MAX_CACHED_PANORAMAS)
 
-    def __call__(
-        self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS,
-        reading: Reading = DEFAULT_READING,
-    ) -> Panorama:  # fmt: skip
+    def __call__(self, path: Path, **options: Any) -> Panorama:
         """The panorama of a file."""
 
         def read() -> CachedPanorama:
-            picture = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
-            return CachedPanorama(picture)
+            return CachedPanorama(read_panorama(path, **options))
 
         if not path.exists():
             read()  # which says what is wrong
-        kept = self.get((*file_stamp(path), allow_aspect, max_pixels, reading), read)
+        kept = self.get((*file_stamp(path), *sorted(options.items())), read)
         panorama = Panorama(kept.image(), kept.mask, kept.original, path)
         kept.release_floats()
         return panorama

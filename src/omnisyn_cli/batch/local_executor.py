@@ -103,11 +103,11 @@ def _serve(connection: Connection, work: Work, threads: int) -> None:
 
 def end_with_parent() -> None:
     """End this process as soon as the one that started it ends."""
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
-
-
-def _exit_with_parent() -> None:
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+
+    def exit_with_parent() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=exit_with_parent, daemon=True).start()
