@@ -10,8 +10,7 @@ from batch_samples import CAN_KILL, InlineExecutor
 from hypothesis import given
 from hypothesis import strategies as st
 
-from omnisyn_cli.batch.executor import MAX_WORKER_DEATHS, Answer, Job, Outcome, Report, Work, run_jobs
-from omnisyn_cli.batch.local_executor import LocalExecutor
+from omnisyn_cli.batch.executor import MAX_WORKER_DEATHS, Answer, Job, LocalExecutor, Outcome, Report, Work, run_jobs
 
 TRICKS = "batch_samples:make_tricks"
 

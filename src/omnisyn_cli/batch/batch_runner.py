@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from omnisyn_cli import __version__
-from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
+from omnisyn_cli.batch.executor import Executor, Job, LocalExecutor, Outcome, Work, run_jobs
 from omnisyn_cli.batch.folder import (
     STAGING_SUFFIX,
     Records,
@@ -27,7 +27,6 @@ from omnisyn_cli.batch.folder import (
     write_outputs,
 )
 from omnisyn_cli.batch.interpolations import WorkerSettings
-from omnisyn_cli.batch.local_executor import LocalExecutor
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
@@ -225,7 +224,7 @@ def _cost(job: BatchJob) -> float:
     options = job.options
     seconds = options.get("duration", SECONDS_PER_PAIR * pairs)
     frames = options.get("frames") or seconds * options.get("fps", 30.0)
-    width = int(options["size"].partition("x")[0]) if "size" in options else _width(job.images[0])
+    width = job.size[1] if job.size else _width(job.images[0])
     return float(width * width / 2 * frames + DEPTH_COST_FRAMES * pairs * 1024 * 2048)
 
 

@@ -63,19 +63,21 @@ class BatchJob:
         return [str(_inside(place)) for place in self.outputs.values()]
 
     @property
+    def size(self) -> tuple[int, int] | None:
+        """Height and width of the video, if the line says them."""
+        width, _, height = self.options.get("size", "").partition("x")
+        return (int(height), int(width)) if height else None
+
+    @property
     def masks(self) -> tuple[Path, ...]:
         """An image for every panorama, besides those of the pose file; or none."""
         return tuple(map(Path, self.options.get("masks", ())))
 
     def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
         """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
-        options = dict(self.options)
-        if "size" in options:
-            width, _, height = options["size"].partition("x")
-            options["size"] = int(height), int(width)
+        options = {**self.options, "size": self.size, "masks": self.masks}
         for angle in {"nadir", "hfov", "vfov", "fov"} & options.keys():
             options[angle] = math.radians(options[angle])
-        options["masks"] = self.masks
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
         return InterpolationJob(images=self.images, poses=self.poses, threads=threads, **places, **options)
 
