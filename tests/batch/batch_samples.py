@@ -40,7 +40,7 @@ class InlineExecutor:
         return [0]
 
     def submit(self, worker: int, job: Job) -> None:
-        self._reports.append(Report(worker, self._worker.perform(job.payload)))
+        self._reports.append((worker, self._worker.perform(job.payload)))
 
     def wait(self) -> list[Report]:
         reports, self._reports = self._reports, []

@@ -10,8 +10,7 @@ from batch_samples import CAN_KILL, InlineExecutor
 from hypothesis import given
 from hypothesis import strategies as st
 
-from omnisyn_cli.batch.executor import MAX_WORKER_DEATHS, Answer, Job, Outcome, Report, Work, run_jobs
-from omnisyn_cli.batch.local_executor import LocalExecutor
+from omnisyn_cli.batch.executor import MAX_WORKER_DEATHS, Answer, Job, LocalExecutor, Outcome, Report, Work, run_jobs
 
 TRICKS = "batch_samples:make_tricks"
 
@@ -43,8 +42,8 @@ class MortalExecutor:
         worker = self._random.choice(sorted(self._busy))
         job = self._busy.pop(worker)
         if self._random.random() < self._mortality:
-            return [Report(worker, None, "signal 9")]
-        return [Report(worker, Answer(job.payload, None, None, str(worker)))]
+            return [(worker, "signal 9")]
+        return [(worker, Answer(job.payload, None, None, str(worker)))]
 
 
 jobs_of_any_kind = st.lists(

@@ -45,7 +45,7 @@ def test_depth_of_both_directions_is_found_once_and_in_one_order():
         assert values(memory(b, a)) == expected[::-1]
         assert values(memory(a, b)) == expected
     assert inner.calls == [(1.0, 2.0)]
-    assert memory.found == 1
+    assert memory.misses == 1
 
 
 def test_another_picture_pose_or_mask_is_another_pair():
@@ -55,11 +55,11 @@ def test_another_picture_pose_or_mask_is_another_pair():
     others = [view(2.5, b.image), view(2.0, b.image + 0.1), view(2.0, b.image, mask), view(2.0, b.image, ~mask)]
     for other in (b, *others):
         assert values(memory(a, other)) == [float(estimate(one).inverse_depth[0, 0]) for one in (a, other)]
-    assert memory.found == len(inner.calls) == 5
+    assert memory.misses == len(inner.calls) == 5
     memory(a, view(2.0, b.image, np.zeros((2, 4), bool)))
-    assert memory.found == 5, "an equal mask is the same mask"
+    assert memory.misses == 5, "an equal mask is the same mask"
     memory(a, view(2.0, b.image.copy(), ~mask))
-    assert memory.found == 5, "an equal picture is the same picture"
+    assert memory.misses == 5, "an equal picture is the same picture"
 
 
 def test_pictures_that_were_darkened_to_one_exposure_are_known_again_in_either_direction():
@@ -70,7 +70,7 @@ def test_pictures_that_were_darkened_to_one_exposure_are_known_again_in_either_d
         darkened = darken_to_match(*pair, rough_exposure_curve(*pair))
         assert not any(one is other for one, other in zip(darkened, pair, strict=True) if other is a)
         memory(*darkened)
-    assert memory.found == 1
+    assert memory.misses == 1
 
 
 def test_depth_keeps_no_picture_alive():
@@ -88,11 +88,11 @@ def test_a_panorama_is_decoded_once_until_its_file_changes(tmp_path):
     assert memory(path).original is first.original
     np.testing.assert_array_equal(first.image, read_panorama(path).image)
     memory(tmp_path / "p1.png")
-    assert memory.decoded == 2
+    assert memory.misses == 2
     write_image(path, np.zeros((16, 32, 3), np.uint8))
     os.utime(path, ns=(1, 1))
     assert not memory(path).image.any()
-    assert memory.decoded == 3
+    assert memory.misses == 3
 
 
 def test_panoramas_are_remembered_as_the_samples_of_their_files(tmp_path):
@@ -102,7 +102,7 @@ def test_panoramas_are_remembered_as_the_samples_of_their_files(tmp_path):
     numbers = weakref.ref(memory(path).image)
     assert numbers() is None
     np.testing.assert_array_equal(memory(path).image, read_panorama(path).image)
-    assert memory.decoded == 1
+    assert memory.misses == 1
 
 
 def test_only_a_few_panoramas_are_remembered(tmp_path):
@@ -110,8 +110,8 @@ def test_only_a_few_panoramas_are_remembered(tmp_path):
     memory = PanoramaCache()
     for index in range(MAX_CACHED_PANORAMAS + 1):
         memory(tmp_path / f"p{index}.png")
-    assert len(memory._known._known) == MAX_CACHED_PANORAMAS
+    assert len(memory._known) == MAX_CACHED_PANORAMAS
     memory(tmp_path / "p1.png")
-    assert memory.decoded == MAX_CACHED_PANORAMAS + 1
+    assert memory.misses == MAX_CACHED_PANORAMAS + 1
     memory(tmp_path / "p0.png")
-    assert memory.decoded == MAX_CACHED_PANORAMAS + 2
+    assert memory.misses == MAX_CACHED_PANORAMAS + 2

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from omnisyn_cli import __version__
-from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
+from omnisyn_cli.batch.executor import Executor, Job, LocalExecutor, Outcome, Work, run_jobs
 from omnisyn_cli.batch.folder import (
     STAGING_SUFFIX,
     Records,
@@ -27,7 +27,6 @@ from omnisyn_cli.batch.folder import (
     write_outputs,
 )
 from omnisyn_cli.batch.interpolations import WorkerSettings
-from omnisyn_cli.batch.local_executor import LocalExecutor
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
@@ -78,13 +77,6 @@ class Progress:
     cost_done: float
     cost: float
 
-    def after(self, outcome: Outcome, *, is_failed: bool) -> Progress:
-        """One job later."""
-        return replace(
-            self, done=self.done + (not is_failed), failed=self.failed + is_failed,
-            cost_done=self.cost_done + outcome.job.cost,
-        )  # fmt: skip
-
 
 @dataclass
 class BatchReport:
@@ -134,7 +126,8 @@ def run_batch(
     begin = time.perf_counter()
     if manifest.problems:
         raise InputError(f"{manifest.path}: expected lines without problems, got {len(manifest.problems)}; mend them")
-    _check_engine(options)
+    if options.engine != "ray" and (options.gpus or options.ray_address):
+        raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
     places = [place for job in manifest.jobs for place in job.places]
     inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
     prepare_folder(folder, places, inputs, overwrite=options.overwrite)
@@ -152,7 +145,8 @@ def run_batch(
                 records.append(record)
                 is_failed = record["status"] == "failed"
                 (report.failed if is_failed else report.done).append(_short(record))
-                tell(progress := progress.after(outcome, is_failed=is_failed))
+                counts = {"done": progress.done + (not is_failed), "failed": progress.failed + is_failed}
+                tell(progress := replace(progress, **counts, cost_done=progress.cost_done + outcome.job.cost))
     report.seconds = time.perf_counter() - begin
     return report
 
@@ -172,12 +166,6 @@ def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptio
     workers = options.workers or cores
     threads = options.threads or max(1, cores // workers)
     return LocalExecutor(Work(INTERPOLATOR, settings(threads)), max(1, min(workers, jobs)), threads)
-
-
-def _check_engine(options: BatchOptions) -> None:
-    """InputError: an option does not go with the engine."""
-    if options.engine != "ray" and (options.gpus or options.ray_address):
-        raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
 
 
 def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport, retry_failed: bool) -> bool:
@@ -206,10 +194,10 @@ def _record(outcome: Outcome, folder: Path, *, is_host_named: bool) -> dict[str,
              "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
              "worker": answer.worker if is_host_named else answer.worker.rpartition(":")[2],
              "attempts": outcome.attempts}  # fmt: skip
-    if error is None:
-        return {**about, **_without_folders(value, folder, job.folder)}
-    trace = {} if answer.trace is None else {"traceback": answer.trace}
-    return {**about, **_without_folders({"error": error, **trace}, folder, job.folder), "sources": job_sources(job)}
+    if error is not None:
+        value = {"error": error} if answer.trace is None else {"error": error, "traceback": answer.trace}
+    sources = {} if error is None else {"sources": job_sources(job)}
+    return {**about, **_without_folders(value, folder, job.folder), **sources}
 
 
 def _without_folders(value: Any, output: Path, inputs: Path) -> Any:
@@ -236,7 +224,7 @@ def _cost(job: BatchJob) -> float:
     options = job.options
     seconds = options.get("duration", SECONDS_PER_PAIR * pairs)
     frames = options.get("frames") or seconds * options.get("fps", 30.0)
-    width = int(options["size"].partition("x")[0]) if "size" in options else _width(job.images[0])
+    width = job.size[1] if job.size else _width(job.images[0])
     return float(width * width / 2 * frames + DEPTH_COST_FRAMES * pairs * 1024 * 2048)
 
 

@@ -1,23 +1,35 @@
 """Who does what next, and what happens when a worker dies: for any kind of job and any kind of worker.
 
-An :class:`Executor` is a number of workers (:mod:`.local_executor`: processes of this machine, :mod:`.ray_executor`:
+An :class:`Executor` is a number of workers (:class:`LocalExecutor`: processes of this machine, :mod:`.ray_executor`:
 actors of a cluster). Each holds one work function, made once from a :class:`Work`, and is given one job at a time.
 """
 
-import importlib
+import multiprocessing
 import os
 import platform
+import signal
+import threading
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Generator, Iterable
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from pkgutil import resolve_name
 from typing import Any, Protocol
 
+from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.errors import OmnisynError
 
 MAX_WORKER_DEATHS = 2
 """A job during which so many workers died is not tried again."""
+
+SHUTDOWN_TIMEOUT_SECONDS = 10
+"""That a worker has to finish after its connection is closed; then it is killed."""
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables by which numerical libraries take their number of threads."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +90,8 @@ class Outcome:
     attempts: int
 
 
-@dataclass(frozen=True)
-class Report:
-    """News of one worker: its answer, or how it died."""
-
-    worker: int
-    answer: Answer | None
-    death: str = ""
+Report = tuple[int, Answer | str]
+"""News of one worker: its answer, or how it died."""
 
 
 class Worker:
@@ -102,14 +109,13 @@ class Worker:
         """The value for a payload, or the error that it ended with; only signals get through."""
         try:
             if self._function is None:
-                module, _, name = self._work.factory.partition(":")
-                self._function = getattr(importlib.import_module(module), name)(self._work.settings)
+                self._function = resolve_name(self._work.factory)(self._work.settings)
             return Answer(self._function(payload), None, None, self._name)
         except OmnisynError as error:
-            return Answer(None, " ".join(str(error).splitlines()), None, self._name)
+            message, trace = str(error), None
         except Exception as error:  # noqa: BLE001  whatever it is, the other jobs go on; the traceback is kept
-            message = f"{type(error).__name__}: {error}"
-            return Answer(None, " ".join(message.splitlines()), traceback.format_exc(), self._name)
+            message, trace = f"{type(error).__name__}: {error}", traceback.format_exc()
+        return Answer(None, " ".join(message.splitlines()), trace, self._name)
 
 
 class Executor(AbstractContextManager["Executor"], Protocol):
@@ -131,61 +137,41 @@ def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None
     An error of a job and the death of a worker stop nothing: a dead worker is replaced, its job is tried once more, and
     fails when that kills its worker again.
     """
-    queue = _JobQueue(jobs)
-    if not queue.is_open():
+    waiting = deque(_groups(jobs))
+    groups_of_workers: dict[int, deque[Job]] = {}
+    running: dict[int, Job] = {}
+    deaths: Counter[str] = Counter()
+    if not waiting:
         return
     with executor:
-        while queue.is_open():
+        while waiting or running or any(groups_of_workers.values()):
             for worker in executor.ready():
-                if (job := queue.next_for(worker)) is not None:
-                    executor.submit(worker, job)
-            for report in executor.wait():
-                if (outcome := queue.finish_report(report)) is not None:
-                    yield outcome
+                if not groups_of_workers.get(worker) and waiting:
+                    groups_of_workers[worker] = waiting.popleft()
+                if group := groups_of_workers.get(worker):
+                    running[worker] = group.popleft()
+                    executor.submit(worker, running[worker])
+            for worker, answer in executor.wait():
+                job = running.pop(worker)
+                if isinstance(answer, Answer):
+                    yield Outcome(job, answer, deaths[job.key] + 1)
+                    continue
+                deaths[job.key] += 1
+                rest = groups_of_workers.pop(worker)
+                is_lost = deaths[job.key] >= MAX_WORKER_DEATHS
+                if not is_lost:
+                    rest.appendleft(job)
+                if rest:
+                    waiting.appendleft(rest)
+                if is_lost:
+                    yield Outcome(job, _lost(answer), deaths[job.key])
 
 
-class _JobQueue:
-    """What waits, and who works on what."""
-
-    def __init__(self, jobs: Iterable[Job]) -> None:
-        self._waiting: deque[deque[Job]] = deque(deque(group) for group in _groups(jobs))
-        self._groups_of_workers: dict[int, deque[Job]] = {}
-        self._running: dict[int, Job] = {}
-        self._deaths: Counter[str] = Counter()
-
-    def is_open(self) -> bool:
-        """Whether anything waits or runs."""
-        return bool(self._waiting or self._running or any(self._groups_of_workers.values()))
-
-    def next_for(self, worker: int) -> Job | None:
-        """The next job of the worker's group, or of the next group."""
-        if not self._groups_of_workers.get(worker):
-            if not self._waiting:
-                return None
-            self._groups_of_workers[worker] = self._waiting.popleft()
-        job = self._running[worker] = self._groups_of_workers[worker].popleft()
-        return job
-
-    def finish_report(self, report: Report) -> Outcome | None:
-        """The outcome of the job that a report is about; None if it has to be tried again."""
-        job = self._running.pop(report.worker)
-        if report.answer is not None:
-            return Outcome(job, report.answer, self._deaths[job.key] + 1)
-        self._deaths[job.key] += 1
-        rest = self._groups_of_workers.pop(report.worker)
-        is_lost = self._deaths[job.key] >= MAX_WORKER_DEATHS
-        if not is_lost:
-            rest.appendleft(job)
-        if rest:
-            self._waiting.appendleft(rest)
-        return Outcome(job, _lost(report.death), self._deaths[job.key]) if is_lost else None
-
-
-def _groups(jobs: Iterable[Job]) -> Sequence[list[Job]]:
+def _groups(jobs: Iterable[Job]) -> list[deque[Job]]:
     """Jobs by group in the order given; the most expensive group first."""
-    groups: dict[tuple[str, str], list[Job]] = {}
+    groups: dict[tuple[str, str], deque[Job]] = {}
     for job in jobs:
-        groups.setdefault(("job", job.key) if job.group is None else ("group", job.group), []).append(job)
+        groups.setdefault(("job", job.key) if job.group is None else ("group", job.group), deque()).append(job)
     return sorted(groups.values(), key=lambda group: -sum(job.cost for job in group))
 
 
@@ -195,3 +181,94 @@ def _lost(death: str) -> Answer:
         "out, take fewer workers or a smaller size"
     )
     return Answer(None, message, None, "")
+
+
+class LocalExecutor(Executor):
+    """Workers that are processes of this machine; each is started when its first job is given.
+
+    It is started afresh (spawn), so that it inherits neither threads nor locks, and ends by itself when this process is
+    gone.
+
+    Args:
+        work: what to do.
+        workers: how many.
+        threads: of each worker's libraries.
+    """
+
+    def __init__(self, work: Work, workers: int, threads: int) -> None:
+        self._work, self._size, self._threads = work, workers, threads
+        self._workers: dict[int, tuple[SpawnProcess, Connection]] = {}
+        self._busy: set[int] = set()
+
+    def __exit__(self, kind: type[BaseException] | None, *about: object) -> None:
+        for process, connection in self._workers.values():
+            connection.close()
+            if kind is not None:
+                process.kill()
+        for process, _ in self._workers.values():
+            process.join(SHUTDOWN_TIMEOUT_SECONDS)
+            if process.is_alive():
+                process.kill()
+                process.join()
+        self._workers.clear()
+
+    def ready(self) -> list[int]:
+        """Those without a job."""
+        return [worker for worker in range(self._size) if worker not in self._busy]
+
+    def submit(self, worker: int, job: Job) -> None:
+        """Start a job; a process that died while it had nothing to do is replaced."""
+        if worker not in self._workers or not self._workers[worker][0].is_alive():
+            self._workers[worker] = self._spawn()
+        self._busy.add(worker)
+        with suppress(BrokenPipeError):  # it died just now, which wait() will report
+            self._workers[worker][1].send(job)
+
+    def wait(self) -> list[Report]:
+        """Reports of all that have ended a job, or died, by now; waits for the first."""
+        connections = {self._workers[worker][1]: worker for worker in self._busy}
+        return [self._report(connections[ended]) for ended in wait(list(connections)) if isinstance(ended, Connection)]
+
+    def _report(self, worker: int) -> Report:
+        process, connection = self._workers[worker]
+        self._busy.discard(worker)
+        try:
+            return worker, connection.recv()
+        except (EOFError, OSError):
+            process.join()
+            connection.close()
+            del self._workers[worker]
+            code = process.exitcode
+            return worker, f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+
+    def _spawn(self) -> tuple[SpawnProcess, Connection]:
+        context = spawn_context()
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs, self._work, self._threads), daemon=True)
+        process.start()
+        theirs.close()
+        return process, ours
+
+
+def _serve(connection: Connection, work: Work, threads: int) -> None:
+    """Work through jobs until the connection closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
+    for name in THREAD_VARIABLES:  # libraries read them when they are loaded, which they are not yet
+        os.environ.setdefault(name, str(threads))
+    end_with_parent()
+    worker = Worker(work)
+    with suppress(EOFError, OSError):
+        while True:
+            connection.send(worker.perform(connection.recv().payload))
+
+
+def end_with_parent() -> None:
+    """End this process as soon as the one that started it ends."""
+    parent = multiprocessing.parent_process()
+
+    def exit_with_parent() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=exit_with_parent, daemon=True).start()

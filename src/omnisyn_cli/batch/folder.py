@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from omnisyn_cli.batch.manifest import RECORDS
@@ -66,9 +65,7 @@ class Records:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with write_errors(self._path):  # what did not get through is tried once more
             self._file.close()
 
@@ -111,9 +108,6 @@ class Records:
             whole += len(line)
         if self._path.stat().st_size > whole:
             self._file.truncate(whole)
-
-
-Files = Mapping[str, bytes]
 
 
 def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
@@ -234,7 +228,7 @@ def read_outputs(attempt: Path, places: Iterable[str]) -> dict[str, bytes]:
     }
 
 
-def write_outputs(files: Files, folder: Path, places: Iterable[str]) -> None:
+def write_outputs(files: Mapping[str, bytes], folder: Path, places: Iterable[str]) -> None:
     """Write what :func:`read_outputs` took, under final names."""
     with hidden_folder(folder) as attempt:
         for name, content in files.items():

@@ -20,8 +20,7 @@ from omnisyn_cli.batch.provenance import digest_of_network, file_stamp, job_sour
 from omnisyn_cli.interpolation.loading import CachedPanorama
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
-from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
-from omnisyn_cli.io.placement import DEFAULT_READING, Reading
+from omnisyn_cli.io import Panorama, read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -41,7 +40,7 @@ class LRUCache(Generic[T]):
         most: how many are kept.
 
     Attributes:
-        made: how many were not known when they were asked for.
+        misses: how many were not known when they were asked for.
     """
 
     def __init__(self, most: int) -> None:
@@ -60,39 +59,30 @@ class LRUCache(Generic[T]):
         return self._known[key]
 
 
-class PanoramaCache:
+class PanoramaCache(LRUCache[CachedPanorama]):
     """:func:`omnisyn_cli.io.read_panorama` that remembers the last panoramas, as long as their files do not change.
 
     What is remembered is held as the samples of its file where these say everything: a quarter of the numbers.
     """
 
     def __init__(self) -> None:
-        self._known = LRUCache[CachedPanorama](MAX_CACHED_PANORAMAS)
+        super().__init__(MAX_CACHED_PANORAMAS)
 
-    @property
-    def decoded(self) -> int:
-        """How many were read from files so far."""
-        return self._known.misses
-
-    def __call__(
-        self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS,
-        reading: Reading = DEFAULT_READING,
-    ) -> Panorama:  # fmt: skip
+    def __call__(self, path: Path, **options: Any) -> Panorama:
         """The panorama of a file."""
 
         def read() -> CachedPanorama:
-            picture = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
-            return CachedPanorama(picture)
+            return CachedPanorama(read_panorama(path, **options))
 
         if not path.exists():
             read()  # which says what is wrong
-        kept = self._known.get((*file_stamp(path), allow_aspect, max_pixels, reading), read)
+        kept = self.get((*file_stamp(path), *sorted(options.items())), read)
         panorama = Panorama(kept.image(), kept.mask, kept.original, path)
         kept.release_floats()
         return panorama
 
 
-class DepthCache:
+class DepthCache(LRUCache[tuple[DepthEstimate, DepthEstimate]]):
     """A :class:`~omnisyn_cli.types.DepthEstimator` that remembers the last pairs, whichever way round they are asked.
 
     A pair is always handed to the estimator in one order, given by its positions: so both directions have the same
@@ -100,20 +90,15 @@ class DepthCache:
     """
 
     def __init__(self, estimator: DepthEstimator) -> None:
+        super().__init__(MAX_CACHED_DEPTHS)
         self._estimator = estimator
-        self._known = LRUCache[tuple[DepthEstimate, DepthEstimate]](MAX_CACHED_DEPTHS)
-
-    @property
-    def found(self) -> int:
-        """How many pairs it was asked for so far."""
-        return self._known.misses
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``."""
         if tuple(second.pose.position) < tuple(first.pose.position):
             depth_of_second, depth_of_first = self(second, first)
             return depth_of_first, depth_of_second
-        return self._known.get((_digest(first), _digest(second)), lambda: self._estimator(first, second))
+        return self.get((_digest(first), _digest(second)), lambda: self._estimator(first, second))
 
 
 def _digest(view: View) -> bytes:
@@ -169,13 +154,12 @@ class Interpolator:
 
     def _interpolate(self, job: BatchJob, attempt: Path, sources: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
-        finds_depth = plan.config.estimates_depth
-        memory = self._memory(plan, sources, job) if finds_depth else None
-        decoded, found = self._panoramas.decoded, memory.found if memory else 0
+        memory = self._memory(plan, sources, job) if plan.config.estimates_depth else None
+        decoded, matched = self._panoramas.misses, memory.misses if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
         return {
-            "panoramas_decoded": self._panoramas.decoded - decoded,
-            "pairs_matched": memory.found - found if memory else 0,
+            "panoramas_decoded": self._panoramas.misses - decoded,
+            "pairs_matched": memory.misses - matched if memory else 0,
             "summary": {key: value for key, value in summary.items() if key not in ("inputs", "output")},
         }
 

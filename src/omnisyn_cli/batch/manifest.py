@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from omnisyn_cli.batch.schema import JOB_KEYS, Line, problem_sentences, read_lines
+from omnisyn_cli.batch.schema import LINE_FIELDS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
 from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES, InterpolationJob, targets
@@ -63,19 +63,21 @@ class BatchJob:
         return [str(_inside(place)) for place in self.outputs.values()]
 
     @property
+    def size(self) -> tuple[int, int] | None:
+        """Height and width of the video, if the line says them."""
+        width, _, height = self.options.get("size", "").partition("x")
+        return (int(height), int(width)) if height else None
+
+    @property
     def masks(self) -> tuple[Path, ...]:
         """An image for every panorama, besides those of the pose file; or none."""
         return tuple(map(Path, self.options.get("masks", ())))
 
     def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
         """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
-        options = dict(self.options)
-        if "size" in options:
-            width, _, height = options["size"].partition("x")
-            options["size"] = int(height), int(width)
+        options = {**self.options, "size": self.size, "masks": self.masks}
         for angle in {"nadir", "hfov", "vfov", "fov"} & options.keys():
             options[angle] = math.radians(options[angle])
-        options["masks"] = self.masks
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
         return InterpolationJob(images=self.images, poses=self.poses, threads=threads, **places, **options)
 
@@ -141,7 +143,7 @@ class _Reader:
     def _job(self, line: Any) -> BatchJob:
         if line.scene is None and (line.inputs is None or line.poses is None):
             raise InputError("expected inputs with poses, or a scene, got neither; name one of them")
-        base = self._folder if line.scene is None else self._folder / line.scene
+        base = self._folder / (line.scene or "")
         poses = self._pose_path(line, base)
         pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses, line.allow_outside)
         if isinstance(pose_file, str):
@@ -151,7 +153,7 @@ class _Reader:
         if pose_file is not None:
             for image in images:
                 pose_file.of(image)
-        options = line.model_dump(exclude=set(JOB_KEYS), exclude_defaults=True)
+        options = line.model_dump(exclude=set(LINE_FIELDS), exclude_defaults=True)
         _check_together(options, is_found=pose_file is None)
         if "masks" in options:
             options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]

@@ -1,7 +1,6 @@
 """Manifests from tours and trajectories: which panoramas are neighbours, and which jobs share work."""
 
 import json
-import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,7 +17,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import SAME_POSITION_METRES
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.io import check_output
-from omnisyn_cli.io.outputs import write_parts
+from omnisyn_cli.io.outputs import relative_name, write_parts
 from omnisyn_cli.poses.file import POSES_NAME, read_poses
 
 
@@ -170,11 +169,5 @@ def _with_unique_ids(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _relative(line: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    def name(path: Path) -> str:
-        try:
-            return Path(os.path.relpath(path, folder)).as_posix()
-        except ValueError:  # another drive
-            return path.absolute().as_posix()
-
-    poses = line["poses"] if line["poses"] == str(POSES_FROM_PICTURES) else name(line["poses"])
-    return {**line, "inputs": [name(path) for path in line["inputs"]], "poses": poses}
+    poses = line["poses"] if line["poses"] == str(POSES_FROM_PICTURES) else relative_name(line["poses"], folder)
+    return {**line, "inputs": [relative_name(path, folder) for path in line["inputs"]], "poses": poses}

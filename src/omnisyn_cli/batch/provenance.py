@@ -3,9 +3,7 @@
 Files are named relative to the manifest: records are passed on with videos, and tell nothing about the machine.
 """
 
-import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,8 +13,9 @@ from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.configs import video_config
+from omnisyn_cli.io.outputs import relative_name
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest, sha256_of
 
 FileStamp = tuple[str, int, int]
 
@@ -45,7 +44,7 @@ def files_of(job: BatchJob) -> Iterator[Path]:
 def job_sources(job: BatchJob) -> dict[str, Any]:
     """What the result of a job depends on, as plain values for JSON."""
     settings, files = _settings_and_files(job)
-    return {**settings, "files": {_name(job, path): hash_file(path) for path in files}}
+    return {**settings, "files": {relative_name(path, job.folder): hash_file(path) for path in files}}
 
 
 def has_same_sources(job: BatchJob, recorded: Any) -> bool:
@@ -55,14 +54,14 @@ def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     known, (settings, files) = recorded.get("files"), _settings_and_files(job)
     if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in settings.items()):
         return False
-    named = {_name(job, path): path for path in files}
+    named = {relative_name(path, job.folder): path for path in files}
     return named.keys() == known.keys() and all(_is_same(path, known[name]) for name, path in named.items())
 
 
 def digest_of_network(name: str, sources: Mapping[str, Any], job: BatchJob) -> str | None:
     """The digest of a network, by its name or path, in what :func:`job_sources` says of a job that uses it."""
     files, models = sources["files"], sources["models"]
-    known = files.get(_name(job, Path(name)), {}).get("sha256") if _is_path(name) else models.get(name)
+    known = files.get(relative_name(Path(name), job.folder), {}).get("sha256") if _is_path(name) else models.get(name)
     return None if known is None else str(known)
 
 
@@ -77,11 +76,11 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     installed = _installed() if named else {}
     options = dict(job.options)
     if job.masks:
-        options["masks"] = [_name(job, mask) for mask in job.masks]
+        options["masks"] = [relative_name(mask, job.folder) for mask in job.masks]
     if Path(model := options.get("model", "")).is_absolute():
-        options["model"] = _name(job, Path(model))
+        options["model"] = relative_name(Path(model), job.folder)
     settings = {
-        "inputs": [_name(job, image) for image in job.images],
+        "inputs": [relative_name(image, job.folder) for image in job.images],
         "outputs": job.outputs,
         "options": json.loads(json.dumps(options, default=str)),
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
@@ -90,14 +89,6 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     companions = (file for entry in entries for file in entry.companions)
     own_networks = (Path(name) for name in networks if _is_path(name))
     return settings, list(dict.fromkeys((*job.images, *job.masks, *companions, *own_networks)))
-
-
-def _name(job: BatchJob, path: Path) -> str:
-    """A file as the manifest might name it."""
-    try:
-        return Path(os.path.relpath(path, job.folder)).as_posix()
-    except ValueError:  # another drive
-        return path.as_posix()
 
 
 def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
@@ -141,8 +132,7 @@ def _poses(stamp: FileStamp, allow_outside: bool) -> PoseFile:
 
 @lru_cache(maxsize=4096)
 def _hash(stamp: FileStamp) -> str:
-    with Path(stamp[0]).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return sha256_of(Path(stamp[0]))
 
 
 def _is_same(path: Path, recorded: Any) -> bool:
@@ -152,6 +142,5 @@ def _is_same(path: Path, recorded: Any) -> bool:
         _, size, changed = file_stamp(path)
     except OSError:
         return recorded["sha256"] is None
-    if (size, changed) == (recorded["bytes"], recorded["changed"]):
-        return True
-    return bool(size == recorded["bytes"] and hash_file(path)["sha256"] == recorded["sha256"])
+    is_touched = changed != recorded["changed"]
+    return size == recorded["bytes"] and not (is_touched and hash_file(path)["sha256"] != recorded["sha256"])

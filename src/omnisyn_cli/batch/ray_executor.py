@@ -63,14 +63,11 @@ class RayExecutor:
 
     def wait(self) -> list[Report]:
         """The first that happens: an actor has started, ended a job, or died."""
-        done, _ = self._ray.wait([*self._running, *self._starting], num_returns=1)
-        reports = []
-        for reference in done:
-            if reference in self._starting:
-                self._started(reference)
-            else:
-                reports.append(self._report(reference))
-        return reports
+        (reference,), _ = self._ray.wait([*self._running, *self._starting], num_returns=1)
+        if reference in self._running:
+            return [self._report(reference)]
+        self._started(reference)
+        return []
 
     def _started(self, reference: Any) -> None:
         try:
@@ -88,9 +85,9 @@ class RayExecutor:
             answer = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
             self._expect(worker)
-            return Report(worker, None, _first_line(error))
+            return worker, _first_line(error)
         self._idle.add(worker)
-        return Report(worker, answer)
+        return worker, answer
 
     def _expect(self, worker: int) -> None:
         """Have Ray tell when an actor lives (again)."""

@@ -11,7 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
+from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, ValidationError, create_model
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob
@@ -70,38 +70,32 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
     return cells
 
 
-OPTIONAL_KEYS = ("scene", "poses", "group", *OUTPUTS)
-"""What a line may name beside that."""
-
-JOB_KEYS = ("id", "inputs", *OPTIONAL_KEYS)
-"""What a line says beside the options of its interpolation."""
-
 Name = Annotated[str, StringConstraints(min_length=1)]
 
 
-def _id(text: str) -> str:
-    if not re.fullmatch(r"\w[\w.-]{0,119}", text):
-        raise ValueError("at most 120 letters, digits, _, - and ., the first one a letter, digit or _")
-    return text
+def _like(pattern: str, wanted: str) -> Any:
+    """The type of text that is like a pattern, which people call ``wanted``."""
+
+    def checked(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(wanted)
+        return text
+
+    return Annotated[str, AfterValidator(checked)]
 
 
-def _size(text: str) -> str:
-    if not re.fullmatch(r"[1-9][0-9]{0,5}x[1-9][0-9]{0,5}", text):
-        raise ValueError("WIDTHxHEIGHT such as 2048x1024")
-    return text
-
-
-class JobKeys(BaseModel):
-    """What every line says."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    id: Annotated[str, AfterValidator(_id)]
-    inputs: Annotated[list[Name], Field(min_length=2)] | None = None
-
+LINE_FIELDS: dict[str, Any] = {
+    "id": (
+        _like(r"\w[\w.-]{0,119}", "at most 120 letters, digits, _, - and ., the first one a letter, digit or _"),
+        ...,
+    ),
+    "inputs": (Annotated[list[Name], Field(min_length=2)] | None, None),
+    **dict.fromkeys(("scene", "poses", "group", *OUTPUTS), (Name | None, None)),
+}
+"""Type and default of what a line says beside the options of its interpolation."""
 
 MANIFEST_TYPES: Mapping[str, Any] = {
-    "size": Annotated[str, AfterValidator(_size)] | None,
+    "size": _like(r"[1-9][0-9]{0,5}x[1-9][0-9]{0,5}", "WIDTHxHEIGHT such as 2048x1024") | None,
     "encoder_preset": Name | None,
     "masks": list[Name] | None,
     "nadir": Annotated[float, Field(ge=0, lt=90)] | None,
@@ -116,17 +110,19 @@ RUN_FIELDS = {"images", "threads", "overwrite", "finds_order", "tour", "is_chain
 """Fields of :class:`InterpolationJob` that a line does not choose."""
 
 
-def _options() -> dict[str, Any]:
-    """Type and default of everything that a line may name, and of every option that it may have."""
-    hints = {**get_type_hints(InterpolationJob, include_extras=True), **MANIFEST_TYPES}
-    return dict.fromkeys(OPTIONAL_KEYS, (Name | None, None)) | {
-        field.name: (hints[field.name], None if field.default == () else field.default)
-        for field in fields(InterpolationJob)
-        if field.name not in RUN_FIELDS | set(JOB_KEYS)
-    }
+OPTION_TYPES = {**get_type_hints(InterpolationJob, include_extras=True), **MANIFEST_TYPES}
+"""Types of the fields of :class:`InterpolationJob` in a line."""
 
+OPTION_FIELDS: dict[str, Any] = {
+    field.name: (OPTION_TYPES[field.name], None if field.default == () else field.default)
+    for field in fields(InterpolationJob)
+    if field.name not in RUN_FIELDS | LINE_FIELDS.keys()
+}
+"""Type and default of the options of an interpolation."""
 
-Line: Any = create_model("Line", __base__=JobKeys, **_options())
+LINE_CONFIG = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+Line: Any = create_model("Line", __config__=LINE_CONFIG, **LINE_FIELDS, **OPTION_FIELDS)
 """One line of a manifest."""
 
 
@@ -135,7 +131,7 @@ def check_options(options: Mapping[str, Any]) -> None:
 
     InputError: an unknown option, one that is different for every job, or a value that it does not take.
     """
-    common = sorted(set(Line.model_fields) - set(JOB_KEYS) | {"poses"})
+    common = sorted(Line.model_fields.keys() - LINE_FIELDS.keys() | {"poses"})
     for name in options:
         if name not in common:
             raise InputError(f"expected an option for all jobs, got {name!r}; choose from {', '.join(common)}")

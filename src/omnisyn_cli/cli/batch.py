@@ -13,13 +13,12 @@ from omnisyn_cli.cli.failures import EXIT_CODES_LINE, EXIT_FAILURE
 from omnisyn_cli.cli.machine import leftover_notes
 from omnisyn_cli.cli.options import json_option, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.progress import is_watched
+from omnisyn_cli.cli.progress import drawn_bars, is_watched
 from omnisyn_cli.cli.terminal import print_json, printable, say
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
     from omnisyn_cli.batch.batch_runner import BatchReport, Progress
-    from omnisyn_cli.batch.manifest import Manifest
 
 MAX_SHOWN_JOBS = 20
 """Failures in the table at the end; all of them are in results.jsonl and in --json."""
@@ -81,7 +80,13 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
     from omnisyn_cli.batch.manifest import read_manifest
 
     checked = read_manifest(manifest)
-    _refuse_problems(checked)
+    for problem in checked.problems:
+        say(f"{manifest}: {' '.join(problem.splitlines())}", err=True)
+    if checked.problems:
+        raise InputError(
+            f"{manifest}: expected lines without problems, got {len(checked.problems)} (see above); mend them, nothing "
+            "was started"
+        )
     with _progress(is_quiet=quiet) as on_progress:
         report = run_batch(checked, output, BatchOptions(**options), on_progress)
     _print_report(report, output, as_json=as_json, quiet=quiet)
@@ -140,16 +145,6 @@ def _setting(text: str) -> tuple[str, Any]:
         return name, value
 
 
-def _refuse_problems(manifest: Manifest) -> None:
-    for problem in manifest.problems:
-        say(f"{manifest.path}: {' '.join(problem.splitlines())}", err=True)
-    if manifest.problems:
-        raise InputError(
-            f"{manifest.path}: expected lines without problems, got {len(manifest.problems)} (see above); mend them, "
-            "nothing was started"
-        )
-
-
 def _print_report(report: BatchReport, folder: Path, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(report.describe())
@@ -193,11 +188,9 @@ def _progress(*, is_quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
         yield None if is_quiet else (lambda now: say(in_words(now), err=True))
         return
     from rich import progress
-    from rich.console import Console
 
-    columns = (progress.TextColumn("{task.description}"), progress.BarColumn(), progress.TimeElapsedColumn(),
-               progress.TimeRemainingColumn())  # fmt: skip
-    with progress.Progress(*columns, console=Console(stderr=True), speed_estimate_period=3600) as bar:
+    times = (progress.TimeElapsedColumn(), progress.TimeRemainingColumn())
+    with drawn_bars(*times, speed_estimate_period=3600) as bar:
         task = bar.add_task("jobs", total=None)
 
         def show(now: Progress) -> None:

@@ -1,12 +1,9 @@
 """Help of commands with many options: in sections, and without rarely used options unless they are asked for."""
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import click
-
-from omnisyn_cli.cli.terminal import printable
 
 SECTIONS: Mapping[str, str] = {
     "Input": "every path poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect "
@@ -71,15 +68,3 @@ def _show_all(context: click.Context, option: click.Parameter, is_wanted: bool) 
         context.meta[_show_all.__name__] = True
         click.echo(context.get_help())
         context.exit()
-
-
-def unknown_command(context: click.Context, name: str, known: Iterable[str]) -> None:
-    """Refuse (UsageError) a word that is no command, with the commands that may have been meant."""
-    import difflib
-
-    names = list(known)
-    near = difflib.get_close_matches(name, names, n=2, cutoff=0.5)
-    if not near and "interpolate" in names and Path(name).exists():
-        near = [f"interpolate {name}"]
-    advice = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names)}"
-    context.fail(f"expected a command, got '{printable(name)}'; {advice}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from omnisyn_cli.cli.terminal import printable, say
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress, ProgressColumn, TaskID
 
 COMPILING_NOTE = "note: compiling kernels for the first run of this kind: about half a minute"
 """Printed once, before the first run compiles."""
@@ -52,6 +52,14 @@ def is_watched(*, is_quiet: bool) -> bool:
     return not is_quiet and sys.stderr.isatty()
 
 
+def drawn_bars(*columns: ProgressColumn, **options: Any) -> Progress:
+    """Bars on stderr with a name before each, and more columns after it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    return Progress(TextColumn("{task.description}"), BarColumn(), *columns, console=Console(stderr=True), **options)
+
+
 @contextmanager
 def counted_bar(
     begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool, has_lines: bool = False
@@ -71,21 +79,19 @@ def counted_bar(
         is_said = has_lines and not is_quiet
         yield (lambda done, *what: say(f"{done}/{total} {name(done, *what)}", err=True)) if is_said else None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich import progress
 
     from omnisyn_cli.compute.jit import while_compiling
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task, shown = progress.add_task(begins, total=total), [begins]
+    with drawn_bars(progress.MofNCompleteColumn(), progress.TimeRemainingColumn(), transient=True) as bars:
+        task, shown = bars.add_task(begins, total=total), [begins]
 
         def show(done: int, *what: Any) -> None:
             shown[0] = name(done, *what) or shown[0]
-            progress.update(task, completed=done, description=shown[0])
+            bars.update(task, completed=done, description=shown[0])
 
         def compile_(is_begun: bool) -> None:
-            progress.update(task, description="compiling" if is_begun else shown[0])
+            bars.update(task, description="compiling" if is_begun else shown[0])
 
         with while_compiling(compile_):
             yield show
@@ -198,18 +204,8 @@ def shown_stages(*, is_quiet: bool) -> Iterator[Stages]:
     with ExitStack() as stack:
         bars = None
         if is_watched(is_quiet=is_quiet):
-            from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                MofNCompleteColumn,
-                Progress,
-                TextColumn,
-                TimeElapsedColumn,
-                TimeRemainingColumn,
-            )
+            from rich import progress
 
-            times = (TimeElapsedColumn(), TimeRemainingColumn(compact=True))
-            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *times)
-            bars = stack.enter_context(Progress(*columns, console=Console(stderr=True), transient=True))
-        stages = Stages(bars, is_quiet=is_quiet)
-        yield stages
+            times = (progress.TimeElapsedColumn(), progress.TimeRemainingColumn(compact=True))
+            bars = stack.enter_context(drawn_bars(progress.MofNCompleteColumn(), *times, transient=True))
+        yield Stages(bars, is_quiet=is_quiet)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from omnisyn_cli.batch.local_executor import end_with_parent
+from omnisyn_cli.batch.executor import end_with_parent
 from omnisyn_cli.compute.jit import announce_compiling, when_compiling
 from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.compute.threads import available_threads

@@ -32,6 +32,10 @@ VISUAL_SAMPLE_ENTRY_BYTES = 78
 """Fixed fields of a video sample entry before its boxes."""
 
 
+OFFSET_LETTERS = {b"stco": "I", b"co64": "Q"}
+"""Tables of chunk offsets, and how :mod:`struct` names their numbers."""
+
+
 @dataclass(frozen=True)
 class FileBox:
     """A box on the top level of a file: ``start`` to ``end`` in bytes, content from ``content``."""
@@ -99,8 +103,8 @@ def child(box: Box, kind: bytes) -> Box | None:
     return next((inner for inner in box.children or () if inner.kind == kind), None)
 
 
-def children_of(path: Path, data: bytes, head: int = 0) -> Box:
-    """``data`` as an anonymous box with children after ``head`` bytes, none of them opened."""
+def children_of(path: Path, data: bytes, head: int = 0, kind: bytes = b"") -> Box:
+    """``data`` as a box with children after ``head`` bytes, none of them opened."""
     if len(data) < head:
         raise broken_file_error(path, "a box too short for its fields")
     children: list[Box] = []
@@ -108,14 +112,14 @@ def children_of(path: Path, data: bytes, head: int = 0) -> Box:
     while len(data) - position >= 8:
         if len(children) >= MAX_BOXES:
             raise broken_file_error(path, f"more than {MAX_BOXES} boxes in one")
-        kind, start, size = _header(data[position : position + 16])
+        inner, start, size = _header(data[position : position + 16])
         if size == 0 and not any(data[position:]):
             break
         if size < start or size > len(data) - position:
-            raise broken_file_error(path, f"a box {kind!r} of impossible size {size}")
-        children.append(Box(kind, data[position + start : position + size]))
+            raise broken_file_error(path, f"a box {inner!r} of impossible size {size}")
+        children.append(Box(inner, data[position + start : position + size]))
         position += size
-    return Box(b"", data[:head], tuple(children), data[position:])
+    return Box(kind, data[:head], tuple(children), data[position:])
 
 
 def serialize(box: Box) -> bytes:
@@ -137,20 +141,17 @@ def shift_offsets(path: Path, movie: Box, new_offset: Callable[[int], int], *, w
     """The movie box with every chunk offset mapped by ``new_offset``; ``wide`` writes 64-bit tables throughout."""
 
     def shift_box(box: Box) -> Box:
-        is_table = box.kind in (b"stco", b"co64") and box.children is None
-        return _moved_table(path, box, new_offset, wide=wide) if is_table else box
+        if box.kind not in OFFSET_LETTERS or box.children is not None:
+            return box
+        count = int.from_bytes(box.head[4:8], "big")  # after version and flags
+        table = struct.Struct(f">{count}{OFFSET_LETTERS[box.kind]}")
+        if len(box.head) < 8 + table.size:
+            raise broken_file_error(path, "a truncated table of chunk offsets")
+        offsets = [new_offset(offset) for offset in table.unpack_from(box.head, 8)]
+        kind = b"co64" if wide else box.kind
+        return Box(kind, box.head[:8] + struct.pack(f">{count}{OFFSET_LETTERS[kind]}", *offsets))
 
     return map_boxes(movie, shift_box)
-
-
-def _moved_table(path: Path, box: Box, new_offset: Callable[[int], int], *, wide: bool) -> Box:
-    letter, width = ("I", 4) if box.kind == b"stco" else ("Q", 8)
-    count = int.from_bytes(box.head[4:8], "big")  # after version and flags
-    if len(box.head) < 8 + count * width:
-        raise broken_file_error(path, "a truncated table of chunk offsets")
-    offsets = [new_offset(offset) for offset in struct.unpack_from(f">{count}{letter}", box.head, 8)]
-    kind, letter = (b"co64", "Q") if wide else (box.kind, letter)
-    return Box(kind, box.head[:8] + struct.pack(f">{count}{letter}", *offsets))
 
 
 def _header(data: bytes) -> tuple[bytes, int, int]:
@@ -181,8 +182,12 @@ def _scan(path: Path, file: BinaryIO, file_size: int) -> Iterator[FileBox]:
 def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
     """A box with the children that lead to the sample entries opened too; only video sample entries are."""
     if box.kind == b"stsd":
-        return _opened_sample_entries(path, box) if is_video else box
-    opened = children_of(path, box.head)
+        if not is_video:
+            return box
+        listed = children_of(path, box.head, SAMPLE_DESCRIPTION_BYTES, box.kind)
+        entries = (children_of(path, each.head, VISUAL_SAMPLE_ENTRY_BYTES, each.kind) for each in listed.children or ())
+        return replace(listed, children=tuple(entries))
+    opened = children_of(path, box.head, kind=box.kind)
     if box.kind == b"mdia":
         handler = child(opened, b"hdlr")
         is_video = handler is not None and handler.head[8:12] == b"vide"  # after version, flags and a reserved field
@@ -190,13 +195,4 @@ def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
     children = tuple(
         _opened(path, each, is_video=is_video) if each.kind == inner else each for each in opened.children or ()
     )
-    return replace(opened, kind=box.kind, children=children)
-
-
-def _opened_sample_entries(path: Path, box: Box) -> Box:
-    listed = children_of(path, box.head, SAMPLE_DESCRIPTION_BYTES)
-    entries = tuple(
-        replace(children_of(path, entry.head, VISUAL_SAMPLE_ENTRY_BYTES), kind=entry.kind)
-        for entry in listed.children or ()
-    )
-    return replace(listed, kind=box.kind, children=entries)
+    return replace(opened, children=children)

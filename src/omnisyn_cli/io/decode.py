@@ -21,7 +21,7 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.colour import ColourProfile, parse_profile
-from omnisyn_cli.io.heif import AVIF_SUFFIX, HEIC_SUFFIXES, png_of
+from omnisyn_cli.io.heif import AVIF_SUFFIX, HEIC_SUFFIXES, damaged, png_of
 
 MAX_PIXELS = 2 * 16384 * 8192
 """Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
@@ -177,16 +177,11 @@ def decode_image(
         complaint = _complaint(reader.geterror)
     if pixels is None or complaint:
         raise damaged(source, complaint or "no pixels")
-    if header.format == "png":
-        _check_png_is_complete(source)
+    if header.format == "png":  # libpng does not wait for the end marker
+        size = source.stat().st_size
+        if not any(name == b"IEND" and end <= size for name, end in _png_chunks(source)):
+            raise damaged(source, "PNG without its end marker")
     return header, pixels
-
-
-def damaged(path: Path, complaint: str) -> ImageError:
-    """The error for a file that begins as an image and does not hold together."""
-    return ImageError(
-        f"{path}: expected a complete image, got '{complaint}'; the file is damaged, copy or export it anew"
-    )
 
 
 def check_pixel_count(path: Path, height: int, width: int, max_pixels: int) -> None:
@@ -312,18 +307,8 @@ def _complaint(message: Callable[[], str]) -> str:
     return "; ".join(complaints)[:MAX_COMPLAINT_CHARS]
 
 
-def _check_png_is_complete(path: Path) -> None:
-    """Walk the chunks to the end marker, which libpng does not wait for.
-
-    Source: PNG specification, section 5.3, chunk layout.
-    """
-    size = path.stat().st_size
-    if not any(name == b"IEND" and end <= size for name, end in _png_chunks(path)):
-        raise damaged(path, "PNG without its end marker")
-
-
 def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Name of each chunk of a PNG, and where in the file it ends."""
+    """Name of each chunk of a PNG, and where in the file it ends; see section 5.3 of its specification."""
     with path.open("rb") as file:
         file.seek(8)
         while len(head := file.read(8)) == 8:

@@ -41,7 +41,7 @@ def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *chann
     target = Path(path)
     suffix = image_suffix(target)
     check_output(target, overwrite=True)
-    samples = _samples_for(suffix, _checked(image))
+    samples = _samples_for(suffix, image)
     with replaced_when_complete(target) as temporary:
         if suffix in (".jpg", ".jpeg"):
             temporary.write_bytes(jpeg_bytes(samples))
@@ -115,25 +115,21 @@ def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"], quality: in
     return bytes(data.tobytes())
 
 
-def _checked(image: np.ndarray) -> np.ndarray:
+def _samples_for(suffix: str, image: np.ndarray) -> np.ndarray:
+    """Samples in the type that this kind of file holds; ValueError: another shape or type, or not finite."""
     is_picture = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
     if not is_picture or image.size == 0:
         raise ValueError(f"expected (height, width, 3) or (height, width) samples, got shape {image.shape}")
-    if str(image.dtype) in PEAKS:
-        return image
-    if image.dtype.kind != "f":
-        raise ValueError(f"expected uint8, uint16 or floating-point samples, got {image.dtype}")
-    if not np.isfinite(image).all():
-        raise ValueError("expected finite samples, got NaN or infinity")
-    return image.astype(np.float32)
-
-
-def _samples_for(suffix: str, image: np.ndarray) -> np.ndarray:
-    """Samples in the type that this kind of file holds."""
     name = str(image.dtype)
+    if name not in PEAKS:
+        if image.dtype.kind != "f":
+            raise ValueError(f"expected uint8, uint16 or floating-point samples, got {name}")
+        if not np.isfinite(image).all():
+            raise ValueError("expected finite samples, got NaN or infinity")
+        image = image.astype(np.float32)
     if suffix in (".tif", ".tiff") or (suffix == ".png" and name in PEAKS):
         return image
-    unit = image if name == "float32" else np.divide(image, np.float32(PEAKS[name]), dtype=np.float32)
+    unit = np.divide(image, np.float32(PEAKS[name]), dtype=np.float32) if name in PEAKS else image
     if suffix == ".exr":
         return unit
     return image if name == "uint8" else np.rint(np.clip(unit, 0, 1) * 255).astype(np.uint8)

@@ -26,6 +26,10 @@ PLANAR_FORMAT = "yuv420p"
 """What most encoders work on; for it frames are converted here (:mod:`.yuv`) and not by ffmpeg."""
 
 
+RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
+"""ffmpeg's names of the frames that are handed to it, where it converts them."""
+
+
 @dataclass(frozen=True)
 class VideoCodec:
     """One way to encode.
@@ -60,14 +64,7 @@ CODECS: Mapping[str, VideoCodec] = {
         ("libsvtav1", "libaom-av1"), 28, 4096, 63, "8", tuple(str(speed) for speed in range(13, -1, -1)), (".mp4",)
     ),
     "prores": VideoCodec(
-        ("prores_ks",),
-        None,
-        None,
-        0,
-        "hq",
-        PRORES_PROFILES,
-        (".mov",),
-        {"uint8": "yuv422p10le", "uint16": "yuv422p10le"},
+        ("prores_ks",), None, None, 0, "hq", PRORES_PROFILES, (".mov",), dict.fromkeys(RAW_FORMATS, "yuv422p10le")
     ),
 }
 """By the name that users choose."""
@@ -77,9 +74,6 @@ MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov"}
 
 NTSC_RATES = tuple(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120))
 """Frame rates of television, which are written rounded to two or three decimals."""
-
-RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
-"""ffmpeg's names of the frames that are handed to it, where it converts them."""
 
 STRIP_SEI_FILTER = "filter_units=remove_types=6"
 """Removes x264's SEI message with its settings (and threads) from the video: equal pictures are equal files."""

@@ -28,31 +28,30 @@ def png_of(path: Path, *, with_pixels: bool) -> Iterator[tuple[Path, tuple[int, 
 
     Without pixels it has one pixel. ImageError: damaged, or there is no reader; then how to convert it is said.
     """
+    pillow, info = _pillow(path)
     with tempfile.TemporaryDirectory() as folder:
         png = Path(folder) / "picture.png"
         try:
-            width, height = _write_png(path, png, with_pixels)
-        except (ImageError, MemoryError):
+            with warnings.catch_warnings(action="ignore"), pillow.open(path) as image:
+                width, height = image.size
+                mode = "RGBA" if "A" in image.mode else "RGB"
+                shown = image.convert(mode) if with_pixels else pillow.new(mode, (1, 1))
+                if xmp := image.info.get("xmp"):
+                    info.add_itxt("XML:com.adobe.xmp", xmp.decode("utf-8", "replace"))
+                known = {key: image.info[key] for key in ("exif", "icc_profile") if image.info.get(key)}
+                shown.save(png, pnginfo=info, compress_level=0, **known)
+        except MemoryError:
             raise
         except Exception as error:  # of Pillow and its plugins, of many kinds
-            reason = " ".join(str(error).split())
-            raise ImageError(
-                f"{path}: expected a complete image, got '{reason:.200}'; the file is damaged, copy or export it anew"
-            ) from error
+            raise damaged(path, f"{' '.join(str(error).split()):.200}") from error
         yield png, (height, width)
 
 
-def _write_png(path: Path, png: Path, with_pixels: bool) -> tuple[int, int]:
-    pillow, info = _pillow(path)
-    with warnings.catch_warnings(action="ignore"), pillow.open(path) as image:
-        size: tuple[int, int] = image.size
-        mode = "RGBA" if "A" in image.mode else "RGB"
-        shown = image.convert(mode) if with_pixels else pillow.new(mode, (1, 1))
-        if xmp := image.info.get("xmp"):
-            info.add_itxt("XML:com.adobe.xmp", xmp.decode("utf-8", "replace"))
-        known = {key: image.info[key] for key in ("exif", "icc_profile") if image.info.get(key)}
-        shown.save(png, pnginfo=info, compress_level=0, **known)
-    return size
+def damaged(path: Path, complaint: str) -> ImageError:
+    """The error for a file that begins as an image and does not hold together."""
+    return ImageError(
+        f"{path}: expected a complete image, got '{complaint}'; the file is damaged, copy or export it anew"
+    )
 
 
 def _pillow(path: Path) -> tuple[Any, Any]:

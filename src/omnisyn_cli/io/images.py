@@ -165,19 +165,17 @@ def _reduced(
 
     Where only a part is known, or alpha is, the mask of it is alpha: white where all of a pixel is known.
     """
-    import cv2  # loaded only here: a plan needs this package, and no more
-
     if colour.dtype == np.float16:
         colour = colour.astype(np.float32)
     if header.is_alpha_associated and alpha is not None and (alpha != INTEGER_PEAKS.get(str(alpha.dtype), 1)).any():
         return colour, alpha, placement
     opaque = INTEGER_PEAKS.get(str(colour.dtype), 1)
-    smaller = cv2.resize(placement.put(colour), size[::-1], interpolation=cv2.INTER_AREA)
+    smaller = _resized(placement.put(colour), size)
     if alpha is not None or not placement.is_whole:
         known = np.ones(colour.shape[:2], bool) if alpha is None else unit_range(alpha, header.path) >= MIN_USABLE_ALPHA
-        share = cv2.resize(placement.put(known.astype(np.float32)), size[::-1], interpolation=cv2.INTER_AREA)
-        alpha = np.where(share > 1.0 - 1e-6, opaque, 0).astype(colour.dtype)
-    return np.asarray(smaller), alpha, Placement(*size, 0, 0, *size)
+        is_whole = _resized(placement.put(known.astype(np.float32)), size) > 1.0 - 1e-6
+        alpha = np.where(is_whole, opaque, 0).astype(colour.dtype)
+    return smaller, alpha, Placement(*size, 0, 0, *size)
 
 
 def read_mask(
@@ -310,15 +308,15 @@ def channel_of(header: ImageHeader, wanted: str) -> int | None:
 
 def _resampled(panorama: Panorama, size: tuple[int, int]) -> Panorama:
     """The same sphere with square pixels, in another height and width."""
-    # OpenCV takes a while to import and is needed for odd images only.
-    import cv2
+    mask = None if panorama.mask is None else _resized(panorama.mask.astype(np.float32), size) > 1.0 - 1e-6
+    return Panorama(_resized(panorama.image, size), mask, None, panorama.path)
 
-    image = np.asarray(cv2.resize(panorama.image, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
-    mask = None
-    if panorama.mask is not None:
-        opacity = cv2.resize(panorama.mask.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
-        mask = np.asarray(opacity > 1 - 1e-6, bool)
-    return Panorama(image, mask, None, panorama.path)
+
+def _resized(samples: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """In another height and width, by means over areas."""
+    import cv2  # loaded only here: a plan needs this package, and no more
+
+    return np.asarray(cv2.resize(samples, size[::-1], interpolation=cv2.INTER_AREA))
 
 
 PHOTOGRAPH_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
@@ -367,8 +365,5 @@ def read_picture(path: Path, longest_side: int) -> UInt8[np.ndarray, "height wid
     image = np.clip(unit_range(colour, path), 0.0, 1.0)
     scale = min(1.0, longest_side / max(image.shape[:2]))
     if scale < 1.0:
-        import cv2  # loaded only here: a plan needs this package, and no more
-
-        size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        image = _resized(image, (max(1, round(scale * image.shape[0])), max(1, round(scale * image.shape[1]))))
     return np.ascontiguousarray(np.rint(image * 255.0).astype(np.uint8))

@@ -100,9 +100,8 @@ def _edited(path: Path, packet: bytes, namespace: tuple[str, str], values: Mappi
         for name in values:
             if description.hasAttributeNS(address, name):
                 description.removeAttributeNS(address, name)
-            for old in [
-                node for node in description.childNodes if (node.namespaceURI, node.localName) == (address, name)
-            ]:
+        for old in [node for node in description.childNodes if node.namespaceURI == address]:
+            if old.localName in values:
                 description.removeChild(old)
     descriptions[0].setAttributeNS(XMLNS, f"xmlns:{prefix}", address)
     for name, value in values.items():

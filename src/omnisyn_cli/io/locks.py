@@ -36,7 +36,7 @@ def claimed(place: Path) -> Iterator[None]:
     except OSError:  # of another user, or there is no room: then it is noticed at the end
         yield
         return
-    try:
+    with os.fdopen(descriptor):
         try:
             lock(descriptor)
         except OSError as error:
@@ -48,5 +48,3 @@ def claimed(place: Path) -> Iterator[None]:
             yield
         finally:
             file.unlink(missing_ok=True)
-    finally:
-        os.close(descriptor)

@@ -41,11 +41,7 @@ LIGHT_MAP_GAIN = 2.0
 
 
 def list_meshes(folder: Path) -> list[Path]:
-    """All mesh files of a folder and below, in order.
-
-    Raises:
-        InputError: there are none.
-    """
+    """All mesh files of a folder and below, in order; InputError: there are none."""
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in MESH_SUFFIXES or path.name == ARCHIVE)
     if not found:
         raise InputError(f"expected meshes ({', '.join(MESH_SUFFIXES)} or {ARCHIVE}) in {folder}, found none")
@@ -60,8 +56,7 @@ def read_mesh(path: Path, scale: float = 1.0, *, z_up: bool = False) -> Textured
         scale: metres per unit of the file.
         z_up: whether the file's z is up; archives say so themselves.
 
-    Raises:
-        InputError: it cannot be read, has no faces, or is of an extent that no room or street has.
+    InputError: it cannot be read, has no faces, or is of an extent that no room or street has.
     """
     if not path.is_file():
         raise InputError(f"expected a mesh at {path}, found no file")

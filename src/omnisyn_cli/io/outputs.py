@@ -27,6 +27,14 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError there until Python 3.13
 
 
+def relative_name(path: Path, folder: Path) -> str:
+    """A file as it is named from a folder, with slashes; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return path.absolute().as_posix()
+
+
 def make_folder(folder: Path, what: str) -> None:
     """Make a folder for ``what``, and those above it, unless it is there; OutputPathError where it cannot be made."""
     try:

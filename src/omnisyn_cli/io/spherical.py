@@ -13,6 +13,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from omnisyn_cli.errors import InputError, WriteError
 from omnisyn_cli.io.boxes import (
@@ -108,7 +109,7 @@ def read_spherical(path: Path | str) -> SphericalMetadata:
     """What the first video track of an MP4 or MOV file says about its projection; InputError: missing or malformed."""
     source = Path(path)
     track = _first_video_track(source, parse_movie(source, top_level_boxes(source)))
-    return _version_2(source, track, _version_1(track, SphericalMetadata()))
+    return SphericalMetadata(**_version_1(track) | _version_2(source, track))
 
 
 def video_sample_entries(track: Box) -> tuple[Box, ...]:
@@ -192,39 +193,33 @@ def _is_version_1(box: Box) -> bool:
     return box.kind == b"uuid" and box.head[:16] == SPHERICAL_UUID
 
 
-def _version_1(track: Box, known: SphericalMetadata) -> SphericalMetadata:
-    for box in track.children or ():
-        if _is_version_1(box):
-            text = box.head[16:].decode("utf-8", "replace")
-            return replace(
-                known,
-                has_version_1=_xml_value(text, "Spherical") == "true",
-                projection=_xml_value(text, "ProjectionType"),
-                stereo_mode=_xml_value(text, "StereoMode") or "mono",
-                software=_xml_value(text, "StitchingSoftware"),
-            )
-    return known
+def _version_1(track: Box) -> dict[str, Any]:
+    """What the XML says. Nothing in it is expanded, so nothing in it can be hostile."""
+    box = next(filter(_is_version_1, track.children or ()), None)
+    if box is None:
+        return {}
+    elements = re.findall(r"<GSpherical:(\w+)>([^<]*)</GSpherical:\1>", box.head[16:].decode("utf-8", "replace"))
+    values = {name: text.strip() for name, text in reversed(elements)}  # the first of a name counts
+    return {
+        "has_version_1": values.get("Spherical") == "true",
+        "projection": values.get("ProjectionType"),
+        "stereo_mode": values.get("StereoMode") or "mono",
+        "software": values.get("StitchingSoftware"),
+    }
 
 
-def _xml_value(text: str, name: str) -> str | None:
-    """Content of one flat element; nothing is expanded, so nothing in it can be hostile."""
-    found = re.search(rf"<GSpherical:{name}>([^<]*)</GSpherical:{name}>", text)
-    return found.group(1).strip() if found else None
-
-
-def _version_2(path: Path, track: Box, known: SphericalMetadata) -> SphericalMetadata:
+def _version_2(path: Path, track: Box) -> dict[str, Any]:
+    """What the sample entry says."""
     entry = video_sample_entries(track)[0]
     stereo, spherical = child(entry, b"st3d"), child(entry, b"sv3d")
     if spherical is None:
-        return known
+        return {}
     inside = children_of(path, spherical.head)
     projection = children_of(path, (child(inside, b"proj") or Box(b"proj", b"")).head)
-    header = child(inside, b"svhd")
-    kinds = [PROJECTIONS[box.kind] for box in projection.children or () if box.kind in PROJECTIONS]
-    return replace(
-        known,
-        has_version_2=True,
-        projection=kinds[0] if kinds else known.projection,
-        stereo_mode=STEREO_MODES.get(stereo.head[4], "unknown") if stereo and len(stereo.head) > 4 else "mono",
-        software=header.head[4:].rstrip(b"\0").decode("utf-8", "replace") if header else known.software,
-    )
+    mode = STEREO_MODES.get(stereo.head[4], "unknown") if stereo and len(stereo.head) > 4 else "mono"
+    found: dict[str, Any] = {"has_version_2": True, "stereo_mode": mode}
+    if kinds := [PROJECTIONS[box.kind] for box in projection.children or () if box.kind in PROJECTIONS]:
+        found["projection"] = kinds[0]
+    if header := child(inside, b"svhd"):
+        found["software"] = header.head[4:].rstrip(b"\0").decode("utf-8", "replace")
+    return found

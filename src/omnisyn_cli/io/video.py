@@ -125,7 +125,12 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
     sequence = _sequence_of(path, codec)
     encoding.pop("stereo_mode", None)  # nothing that an encoder sees
     if sequence is None:
-        settings = EncoderSettings(codec=_codec_of(path, codec), **encoding)
+        if codec in IMAGE_CODECS:
+            raise OutputPathError(
+                f"{path}: expected a video codec among {', '.join(CODECS)} for this name, got '{codec}'; "
+                "name a folder for images"
+            )
+        settings = EncoderSettings(codec=codec or "h264", **encoding)
         check_settings(path, settings)
         return settings
     if encoding.get("crf") is not None or encoding.get("preset") is not None:
@@ -177,12 +182,3 @@ def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
         endings = " or ".join(IMAGE_CODECS[codec])
         raise OutputPathError(f"{path}: expected a pattern ending in {endings} for {codec}; change the pattern")
     return sequence
-
-
-def _codec_of(path: Path, codec: str | None) -> str:
-    if codec in IMAGE_CODECS:
-        raise OutputPathError(
-            f"{path}: expected a video codec among {', '.join(CODECS)} for this name, got '{codec}'; "
-            "name a folder for images"
-        )
-    return codec or "h264"

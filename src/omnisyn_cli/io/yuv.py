@@ -67,16 +67,16 @@ class PlanarFrames:
 
     def __call__(self, frame: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, " samples"]:
         """Luma, blue and red difference of a contiguous RGB frame of even size; the next call overwrites them."""
-        _convert_rows(frame, self._luma, *self._chroma, 0, len(frame) // 2)
+        _convert_rows(frame, self._luma, *self._chroma)
         return self._samples
 
 
 @fast_kernel()
-def _convert_rows(rgb, luma, blue, red, begin, end):
-    """Rows ``begin`` to ``end`` of the chroma planes and the two rows of luma for each."""
+def _convert_rows(rgb, luma, blue, red):
+    """Rows of the chroma planes and the two rows of luma for each."""
     width = luma.shape[1]
     sums, flat = empty(3 * STRIDE, np.float32), rgb.reshape(-1)
-    for row in range(begin, end):
+    for row in range(len(blue)):
         upper, lower = 6 * row * width, (6 * row + 3) * width
         for k in range(3):  # the column before the first is the last one
             last = 3 * (width - 1) + k

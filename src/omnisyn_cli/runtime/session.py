@@ -40,7 +40,7 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
     options.enable_cpu_mem_arena = options.enable_mem_pattern = keeps_memory
     if threads is not None:
         options.intra_op_num_threads = threads
-    providers = _providers(device, onnxruntime.get_available_providers())
+    providers = _providers(device)
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=providers)
     except Exception as error:
@@ -50,24 +50,16 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
 
 
 def open_model(name: str, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
-    """A session of a model that is installed, or of an ONNX file.
+    """A session of a model of the manifest, by its name, or of an ONNX file; see :func:`open_session`.
 
-    Args:
-        name: in the manifest, or a path.
-        device: see :func:`open_session`.
-        threads: likewise.
-        keeps_memory: likewise.
-
-    Raises InputError: it cannot be found, or see :func:`open_session`.
+    Raises InputError: it cannot be found, or see there.
     """
     return open_session(find_model(name), device=device, threads=threads, keeps_memory=keeps_memory)
 
 
 def check_device_of_networks(device: str) -> None:
     """Refuse a device that no session could be opened on. Raises InputError: unknown or absent."""
-    import onnxruntime
-
-    _providers(device, onnxruntime.get_available_providers())
+    _providers(device)
 
 
 def run_depth_network(
@@ -121,10 +113,12 @@ def _short(error: Exception) -> str:
     return " ".join(f"{error!s:.{MAX_COMPLAINT_CHARS}}".split())
 
 
-def _providers(device: str, available: list[str]) -> list[str]:
+def _providers(device: str) -> list[str]:
+    import onnxruntime
+
     if device not in DEVICES:
         raise InputError(f"expected a device of {', '.join(DEVICES)}, got {device!r}")
-    has_cuda = PROVIDERS["cuda"] in available
+    has_cuda = PROVIDERS["cuda"] in onnxruntime.get_available_providers()
     if device == "cuda" and not has_cuda:
         raise InputError("expected CUDA, got an ONNX Runtime without it; install onnxruntime-gpu or use --device cpu")
     return [PROVIDERS["cuda"], PROVIDERS["cpu"]] if has_cuda and device != "cpu" else [PROVIDERS["cpu"]]
