@@ -14,11 +14,21 @@ NO_POINT = -1
 def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, points, begin, end):
     """Cosine and sine of the polar angle, column and inverse depth in the target, for source rows of points.
 
-    Points that are masked or lie at the target's centre get a negative inverse depth. ``rho`` is the inverse depth of
-    the source, 1/metre, ``mask`` says which pixels are points, both ``(height, width)``; the next four are the source's
-    :func:`omnisyn_cli.geometry.sphere.direction_tables`, ``rotation`` and ``t`` (metres) target-from-source, ``scale``
-    the target's :func:`omnisyn_cli.geometry.sphere.pixel_scale`. ``points``, ``(height, width, 4)``, is written in rows
-    ``begin`` to ``end``.
+    Points that are masked or lie at the target's centre get a negative inverse depth.
+
+    Args:
+        rho: ``(height, width)`` inverse depth of the source, 1/metre.
+        mask: of the same shape; which pixels are points.
+        sin_p: sine of the polar angle, per source row.
+        cos_p: its cosine.
+        sin_a: sine of the azimuth, per source column.
+        cos_a: its cosine.
+        rotation: of the target camera from the source camera.
+        t: translation of the same, metres.
+        scale: of the target, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
+        points: written, ``(height, width, 4)``.
+        begin: first source row.
+        end: the row after the last.
     """
     width = rho.shape[1]
     for row in range(begin, end):
@@ -90,10 +100,17 @@ def list_points(points, order, radius, sin_p, cos_p, found, begin, end):
 def composite(points, found, features, radius, floor, sin_p, cos_p, out, begin, end):
     """Blend the listed points from front to back; the last channel of ``out`` gets the opacity of all together.
 
-    ``points``, ``(points, 4)``, are from :func:`project_points`, ``found``, ``(height, width, most)``, from
-    :func:`list_points`; ``features`` are ``(points, channels)``, ``radius`` is in radians. ``floor`` is the least
-    squared distance from a disc's centre over its squared radius, which bounds the opacity below 1. ``sin_p`` and
-    ``cos_p`` are of the target's rows, of which ``out``, ``(height, width, channels + 1)``, gets ``begin`` to ``end``.
+    Args:
+        points: ``(points, 4)`` from :func:`project_points`.
+        found: ``(height, width, most)`` their indices, front to back, :data:`NO_POINT` after the last.
+        features: ``(points, channels)``.
+        radius: of the discs, radians.
+        floor: least squared distance from a disc's centre over its squared radius, which bounds the opacity below 1.
+        sin_p: sine of the polar angle, per target row.
+        cos_p: its cosine.
+        out: written, ``(height, width, channels + 1)``.
+        begin: first target row.
+        end: the row after the last.
     """
     width, most = found.shape[1], found.shape[2]
     channels = features.shape[1]
