@@ -21,7 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from confidence_samples import Judged, generated_views, judged
-from omnisyn_cli.evaluation.metrics.confidence import rank_correlation
+from omnisyn_cli.evaluation.metrics.depth import rank_correlation
 from omnisyn_cli.io import read_inverse_depth, read_panorama
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses

@@ -103,7 +103,7 @@ def test_defaults_and_choices_are_those_of_the_library() -> None:
     assert ("auto", *FORMATS) == LAYOUTS
     values = command.make_context("bench", []).params
     for name, field in BenchJob.__dataclass_fields__.items():
-        assert name in {"dataset", "report"} or values[name] in {None, field.default}, name
+        assert name == "dataset" or values[name] in {None, field.default}, name
 
 
 @pytest.fixture

@@ -17,11 +17,11 @@ from hall_samples import damage, hall_pair, run, write_halls
 from omnisyn_cli.compute.jit import kernel, when_compiling
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench_run, bench_settings
-from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.bench_settings import BenchJob, make_scenes, plan_bench, run_bench
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.methods import find_method
+from omnisyn_cli.evaluation.report import bench_tables, write_bench_report
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, Setting
@@ -34,7 +34,7 @@ FAST = "omnisyn-fast"
 
 def job(tmp_path: Path, **options: object) -> BenchJob:
     fixed = {"methods": FAST, "sizes": ((64, 128),), "threads": (1,), "frames": 2}
-    return BenchJob(tmp_path / "data", tmp_path / "report", **{**fixed, **options})
+    return BenchJob(tmp_path / "data", **{**fixed, **options})
 
 
 def figures_of(setting: Setting) -> Figures:
@@ -86,7 +86,7 @@ def test_every_combination_is_a_setting_in_a_process_of_its_own(tmp_path, monkey
     monkeypatch.setattr(bench_settings, "_measure_in_child", pretend)
     sizes = ((32, 64), (64, 128))
     wanted = job(tmp_path, methods=f"{FAST},omnisyn-balanced,matching", sizes=sizes, threads=(1, 2))
-    run_bench(plan_bench(wanted))
+    run_bench(tmp_path / "report", plan_bench(wanted))
     assert len({each.setting for each in runs}) == len(runs) == 3 * 2 + 2 * 2
     assert all([pair.scene for pair in each.pairs] == ["hall", "yard"] and each.is_scored for each in runs)
     assert {each.setting.method for each in runs if each.setting.size == (64, 128)} == {FAST, "omnisyn-balanced"}
@@ -96,7 +96,7 @@ def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(tmp_pa
     write_halls(tmp_path / "data", "hall", "nave", "yard")
     runs: list[BenchRun] = []
     monkeypatch.setattr(bench_settings, "_measure_in_child", lambda run: runs.append(run) or figures_of(run.setting))
-    run_bench(plan_bench(job(tmp_path, sizes=((64, 128), (128, 256)))))
+    run_bench(tmp_path / "report", plan_bench(job(tmp_path, sizes=((64, 128), (128, 256)))))
     assert [(run.is_scored, len(run.pairs)) for run in runs] == [(True, 3), (False, 2)]
     figures = measure_setting(BenchRun(runs[1].setting, runs[1].pairs[:1], 1, is_scored=False), tmp_path)
     assert (figures.scores, figures.ws_psnr) == ({}, None)
@@ -125,13 +125,13 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(tmp_path, monke
 
     monkeypatch.setattr(bench_settings, "_measure_in_child", pretend)
     plan = plan_bench(job(tmp_path, methods=f"{FAST},matching"))
-    first = run_bench(plan)
+    first = run_bench(tmp_path / "report", plan)
     with (tmp_path / "report" / "bench.jsonl").open("a") as file:
         file.write('{"setting": {"pre')  # an interruption in the middle of a line
-    assert run_bench(plan) == first
+    assert run_bench(tmp_path / "report", plan) == first
     assert [setting.method for setting in asked] == [FAST, "matching", "matching"]
     damage(tmp_path / "data" / "hall" / "p1.png")
-    run_bench(plan)
+    run_bench(tmp_path / "report", plan)
     assert [setting.method for setting in asked[3:]] == [FAST, "matching"]
 
 
@@ -212,7 +212,7 @@ def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(tmp_path, mo
     plan = plan_interpolation(InterpolationJob(ends, ends[0].parent / "poses.json", tmp_path / "clip.mp4"))
     of_pair = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0}
     of_frame = {"render": 1.5, "fuse": 0.5, "encode": 1.0}
-    assert bench_run._per_pair_and_frame(bench_run._clip(plan, KnownDepth()), 4) == of_pair | of_frame
+    assert bench_run._clip(plan, KnownDepth(), 4) == of_pair | of_frame
 
 
 def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended():

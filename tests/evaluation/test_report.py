@@ -17,15 +17,9 @@ from report_samples import absent, some_records, unit, with_pictures
 
 from omnisyn_cli.errors import WriteError
 from omnisyn_cli.evaluation import report
-from omnisyn_cli.evaluation.report import (
-    CSV_COLUMNS,
-    FRAMES_PER_METHOD,
-    THUMBNAIL_WIDTH,
-    embedded_picture,
-    frame_sections,
-    write_report,
-)
+from omnisyn_cli.evaluation.report import CSV_COLUMNS, write_report
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.visualization import FRAMES_PER_METHOD, THUMBNAIL_WIDTH, embedded_picture, frame_sections
 from omnisyn_cli.io import write_image
 
 NASTY = '<script>alert("x")</script>|`*a*`\n# b & "c"'

@@ -89,7 +89,7 @@ def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path], mo
 
 
 def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:
-    assert not set(BenchJob(Path("data"), Path("report")).methods.split(",")) & {"omnisyn-paper", "synsin"}
+    assert not set(BenchJob(Path("data")).methods.split(",")) & {"omnisyn-paper", "synsin"}
 
 
 def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:

@@ -24,35 +24,6 @@ MIN_FLOW_ROWS = 32
 """Rows of the smallest pictures that optical flow is looked for in."""
 
 
-class CrossFadeMethod:
-    """Both panoramas, turned, averaged by time; a :class:`~omnisyn_cli.synthesis.methods.Method`.
-
-    Args:
-        options: size of the frames, and threads; the rest is not looked at.
-        clock: collects seconds by stage.
-    """
-
-    def __init__(self, options: SynthesisOptions, clock: Stopwatch | None = None) -> None:
-        self.options, self.clock = options, clock or Stopwatch()
-
-    def prepare(self, index: int, views: Sequence[View]) -> _CrossFadePair:
-        """Both as they are."""
-        return _CrossFadePair((views[index], views[index + 1]), self.options, self.clock)
-
-
-class FlowMethod(CrossFadeMethod):
-    """Both panoramas, turned, moved along the optical flow between them and averaged by time.
-
-    The flow of the second picture towards the first, times t, says where a pixel of the frame comes from in the first;
-    the flow of the first towards the second, times 1 − t, where it comes from in the second. It is found again only
-    where the orientation changes.
-    """
-
-    def prepare(self, index: int, views: Sequence[View]) -> _FlowPair:
-        """Both as they are."""
-        return _FlowPair((views[index], views[index + 1]), self.options, self.clock)
-
-
 class _CrossFadePair:
     """A :class:`~omnisyn_cli.synthesis.methods.Pair` about whose distances nothing is known."""
 
@@ -110,6 +81,35 @@ class _FlowPair(_CrossFadePair):
         self._rotation = pose.rotation
 
 
+class CrossFadeMethod:
+    """Both panoramas, turned, averaged by time; a :class:`~omnisyn_cli.synthesis.methods.Method`.
+
+    Args:
+        options: size of the frames, and threads; the rest is not looked at.
+        clock: collects seconds by stage.
+    """
+
+    pair_type: type[_CrossFadePair] = _CrossFadePair
+
+    def __init__(self, options: SynthesisOptions, clock: Stopwatch | None = None) -> None:
+        self.options, self.clock = options, clock or Stopwatch()
+
+    def prepare(self, index: int, views: Sequence[View]) -> _CrossFadePair:
+        """Both as they are."""
+        return self.pair_type((views[index], views[index + 1]), self.options, self.clock)
+
+
+class FlowMethod(CrossFadeMethod):
+    """Both panoramas, turned, moved along the optical flow between them and averaged by time.
+
+    The flow of the second picture towards the first, times t, says where a pixel of the frame comes from in the first;
+    the flow of the first towards the second, times 1 − t, where it comes from in the second. It is found again only
+    where the orientation changes.
+    """
+
+    pair_type = _FlowPair
+
+
 def optical_flow(
     first: Float[np.ndarray, "height width 3"], second: Float[np.ndarray, "height width 3"]
 ) -> Float32[np.ndarray, "height width 2"]:
@@ -126,9 +126,8 @@ def optical_flow(
     border = height // 4
     grey = [add_border(cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY), border) for image in (first, second)]
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    flow = np.asarray(search.calc(grey[0], grey[1], np.zeros((*grey[0].shape, 2), np.float32)), np.float32)
-    inside: np.ndarray = flow[border : border + height, border : border + width, ::-1]
-    return np.ascontiguousarray(inside)
+    flow = search.calc(grey[0], grey[1], np.zeros((*grey[0].shape, 2), np.float32))
+    return np.ascontiguousarray(flow[border : border + height, border : border + width, ::-1], np.float32)
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:

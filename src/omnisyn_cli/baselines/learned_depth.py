@@ -55,15 +55,11 @@ class LearnedDepthEstimator:
         swapped = [swap_cameras_in_forward_frame(image) for image in reversed(images)]
         of_first, first_confidence = self._run(*images)
         of_second, second_confidence = (swap_cameras_in_forward_frame(x) for x in self._run(*swapped))
-        first_confidence = first_confidence * free_space_agreement(
-            of_first, of_second, Pose(np.eye(3), -FORWARD_DIRECTION)
-        )
-        second_confidence = second_confidence * free_space_agreement(
-            of_second, of_first, Pose(np.eye(3), FORWARD_DIRECTION)
-        )
+        first_agreement = free_space_agreement(of_first, of_second, Pose(np.eye(3), -FORWARD_DIRECTION))
+        second_agreement = free_space_agreement(of_second, of_first, Pose(np.eye(3), FORWARD_DIRECTION))
         return (
-            self._estimate(first, frame, of_first / np.float32(baseline), first_confidence),
-            self._estimate(second, frame, of_second / np.float32(baseline), second_confidence),
+            self._estimate(first, frame, of_first / np.float32(baseline), first_confidence * first_agreement),
+            self._estimate(second, frame, of_second / np.float32(baseline), second_confidence * second_agreement),
         )
 
     def _rectified(self, view: View, frame: Pose) -> Float[np.ndarray, "height width 3"]:

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
-from omnisyn_cli.baselines.soft_point_kernels import NO_POINT, composite, list_points, project_points
+from omnisyn_cli.baselines.soft_point_kernels import composite, list_points, project_points
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
-
-__all__ = ["NO_POINT", "Cloud", "blend", "list_visible", "splat"]
 
 POINT_RADIUS_ROWS = 4.0
 """Rows of the target that a disc reaches over."""
@@ -59,7 +57,7 @@ class PointLists:
 
     Attributes:
         points: per point cosine and sine of its polar angle, column and inverse depth in the target.
-        found: per pixel the indices of the points that cover it, the nearest first, then :data:`NO_POINT`.
+        found: per pixel the indices of the points that cover it, the nearest first, then -1.
     """
 
     points: Float[np.ndarray, "points 4"]
@@ -82,28 +80,22 @@ def even_points(height: int, width: int) -> Bool[np.ndarray, "height width"]:
 
 
 def list_visible(
-    inverse_depths: Sequence[Float[np.ndarray, "height width"]],
-    target_from_sources: Sequence[Pose],
-    size: tuple[int, int],
-    masks: Sequence[Bool[np.ndarray, "height width"] | None] | None = None,
-    *,
-    radius: float = POINT_RADIUS_ROWS,
-    most: int = POINTS_PER_PIXEL,
-    threads: int | None = None,
-) -> PointLists:
+    inverse_depths: Sequence[Float[np.ndarray, "height width"]], target_from_sources: Sequence[Pose],
+    size: tuple[int, int], masks: Sequence[Bool[np.ndarray, "height width"] | None] | None = None, *,
+    radius: float = POINT_RADIUS_ROWS, most: int = POINTS_PER_PIXEL, threads: int | None = None,
+) -> PointLists:  # fmt: skip
     """The nearest points that cover each pixel of a target of ``size = (rows, cols)``.
 
     Points count on from panorama to panorama. Of equally near ones the one with the smaller index comes first; a point
     at the target's centre is nowhere. The result does not depend on ``threads``.
     """
-    points = np.concatenate(
-        [
-            projected_points(inverse_depth, _usable(inverse_depth, mask), pose, size, threads).reshape(-1, 4)
-            for inverse_depth, mask, pose in zip(
-                inverse_depths, masks or [None] * len(inverse_depths), target_from_sources, strict=True
-            )
-        ]
-    )
+    projected: list[np.ndarray] = []
+    masks = masks or [None] * len(inverse_depths)
+    for inverse_depth, mask, pose in zip(inverse_depths, masks, target_from_sources, strict=True):
+        even = even_points(*inverse_depth.shape)
+        shown = even if mask is None else even & mask
+        projected.append(projected_points(inverse_depth, shown, pose, size, threads).reshape(-1, 4))
+    points = np.concatenate(projected)
     order = np.argsort(-points[:, 3], kind="stable")
     order = order[points[order, 3] >= 0.0].astype(np.int32)
     found = np.empty((*size, most), np.int32)
@@ -129,20 +121,10 @@ def projected_points(
     return points
 
 
-def _usable(inverse_depth: np.ndarray, mask: np.ndarray | None) -> Bool[np.ndarray, "height width"]:
-    height, width = inverse_depth.shape
-    even = even_points(height, width)
-    return even if mask is None else even & mask
-
-
 def splat(
-    clouds: Sequence[Cloud],
-    size: tuple[int, int],
-    *,
-    radius: float = POINT_RADIUS_ROWS,
-    most: int = POINTS_PER_PIXEL,
+    clouds: Sequence[Cloud], size: tuple[int, int], *, radius: float = POINT_RADIUS_ROWS, most: int = POINTS_PER_PIXEL,
     threads: int | None = None,
-) -> Float32[np.ndarray, "rows cols channels+1"]:
+) -> Float32[np.ndarray, "rows cols channels+1"]:  # fmt: skip
     """The features that a target sees, and last how opaque all points of a pixel are together, in [0, 1).
 
     Args:
@@ -153,14 +135,9 @@ def splat(
         threads: at most this many; the result does not depend on it.
     """
     lists = list_visible(
-        [cloud.inverse_depth for cloud in clouds],
-        [cloud.target_from_source for cloud in clouds],
-        size,
-        [cloud.mask for cloud in clouds],
-        radius=radius,
-        most=most,
-        threads=threads,
-    )
+        [cloud.inverse_depth for cloud in clouds], [cloud.target_from_source for cloud in clouds], size,
+        [cloud.mask for cloud in clouds], radius=radius, most=most, threads=threads,
+    )  # fmt: skip
     features = np.concatenate([cloud.features.reshape(-1, cloud.features.shape[-1]) for cloud in clouds])
     return blend(lists, features, radius=radius, threads=threads)
 

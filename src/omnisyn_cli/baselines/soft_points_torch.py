@@ -27,22 +27,12 @@ from omnisyn_cli.geometry.sphere import normalize, pixel_directions
 
 def splat_torch(
     features: Sequence[Float[Tensor, "channels height width"]],
-    inverse_depths: Sequence[Float[Tensor, "height width"]],
-    target_from_sources: Sequence[Pose],
-    size: tuple[int, int],
-    *,
-    radius: float = POINT_RADIUS_ROWS,
-    most: int = POINTS_PER_PIXEL,
-) -> Float[Tensor, "channels+1 rows cols"]:
+    inverse_depths: Sequence[Float[Tensor, "height width"]], target_from_sources: Sequence[Pose],
+    size: tuple[int, int], *, radius: float = POINT_RADIUS_ROWS, most: int = POINTS_PER_PIXEL,
+) -> Float[Tensor, "channels+1 rows cols"]:  # fmt: skip
     """What :func:`omnisyn_cli.baselines.soft_points.splat` answers, channels first, on the device of the source.
 
-    Args:
-        features: of one panorama or several, blended as one list of points.
-        inverse_depths: 1/metre, finite and >= 0, of the precision that is computed in.
-        target_from_sources: rigid transforms.
-        size: rows and columns of the target.
-        radius: of a disc in rows of the target.
-        most: points that a pixel is made of.
+    The inverse depths, 1/metre, are finite and >= 0; it is their precision that is computed in.
     """
     depths = [inverse_depth.detach().cpu().numpy() for inverse_depth in inverse_depths]
     lists = list_visible(depths, target_from_sources, size, radius=radius, most=most)

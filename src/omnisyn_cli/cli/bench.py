@@ -11,8 +11,8 @@ from omnisyn_cli.cli.parameters import FilePath, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, working_folder
 from omnisyn_cli.cli.terminal import print_json
 
-QUICK_OPTIONS: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512)}
-"""What ``--quick`` stands for."""
+QUICK_SIZE = (256, 512)
+"""Height and width of frames and scenes that ``--quick`` stands for."""
 
 
 class ListOf(click.ParamType):  # type: ignore[type-arg]
@@ -78,13 +78,13 @@ def bench(
     metres long. Seconds are summed over all cores and include the encoder.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli import __version__
-    from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
     from omnisyn_cli.evaluation.bench_settings import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
+    from omnisyn_cli.evaluation.report import bench_tables, write_bench_report
     from omnisyn_cli.interpolation.planning.figures import write_table
     from omnisyn_cli.io import check_output
 
     if quick:
-        scene_size, options = QUICK_OPTIONS["scene_size"], {**options, "sizes": QUICK_OPTIONS["sizes"]}
+        scene_size, options["sizes"] = QUICK_SIZE, (QUICK_SIZE,)
     if store is not None:
         check_output(store, overwrite=True)
     with working_folder(report, "bench", is_quiet=quiet) as folder:
@@ -92,10 +92,9 @@ def bench(
             dataset = folder / f"scenes-{scene_size[1]}x{scene_size[0]}"
             make_scenes(dataset, scene_size)
         wanted = {name: value for name, value in options.items() if value is not None or name != "methods"}
-        plan = plan_bench(BenchJob(dataset, folder, **wanted))
-        total, name = len(plan.settings), lambda _, figures: figures.setting.name
-        with counted_bar("settings", total, name, is_quiet=quiet, has_lines=True) as on_setting:
-            measured = run_bench(plan, on_setting)
+        runs, name = plan_bench(BenchJob(dataset, **wanted)), lambda _, figures: figures.setting.name
+        with counted_bar("settings", len(runs), name, is_quiet=quiet, has_lines=True) as on_setting:
+            measured = run_bench(folder, runs, on_setting)
         write_bench_report(folder, measured)
     if store is not None:
         write_table(store, machine_in_words(), measured)

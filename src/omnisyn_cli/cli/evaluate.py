@@ -97,6 +97,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     """  # noqa: D301 - click's \b is a backspace
     import shlex
 
+    from omnisyn_cli import __version__
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
     from omnisyn_cli.evaluation.visualization import PICTURES_FOLDER
 
@@ -115,7 +116,8 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         ) as on_unit:  # fmt: skip
             records = run_evaluation(plan, on_unit) if report is None else evaluate(plan, on_unit)
     if as_json:
-        print_records(records, dataset=str(job.dataset), report=None if report is None else str(report))
+        about = {"dataset": str(job.dataset), "report": None if report is None else str(report)}
+        print_json({"version": __version__, **about, "units": [record.to_json() for record in records]})
     elif not quiet:
         _print_table(records)
         if report is not None:
@@ -130,20 +132,13 @@ def _about_results(report: Path | None) -> str:
     return f"results are kept in {report} as they come; started again, the command goes on from there"
 
 
-def print_records(records: Sequence[UnitRecord], **about: str | None) -> None:
-    """Print everything as JSON."""
-    from omnisyn_cli import __version__
-
-    print_json({"version": __version__, **about, "units": [record.to_json() for record in records]})
-
-
 def _print_table(records: Sequence[UnitRecord]) -> None:
     """The means per method, what tours are worth, what is known without true frames, and why others have none."""
-    from omnisyn_cli.evaluation.tables import artefact_table, mean_table, tour_table
+    from omnisyn_cli.evaluation.tables import ARTEFACTS, mean_table, method_table, tour_table
 
     tables = [(mean_table(records), None), (tour_table(records), "In tours, against pairs alone")]
     if any("ws_psnr" not in frame.scores for record in records for frame in record.frames):
-        tables.append((artefact_table(records), "Some pairs have no true frames"))
+        tables.append((method_table(records, ARTEFACTS), "Some pairs have no true frames"))
     for table, title in tables:
         if table.rows:
             print_table(table, title)

@@ -21,8 +21,7 @@ import numpy as np
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.evaluation.views import load_pair
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.evaluation.views import at_size, load_pair
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.planning.duration import probe
@@ -32,7 +31,7 @@ from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
-from omnisyn_cli.synthesis.synthesize import synthesize, turned_panorama
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 PHOTOGRAPHS_PER_CLIP = 2
@@ -83,42 +82,35 @@ def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = l
     """
     setting = run.setting
     config = replace(find_method(setting.method).config, device=run.device)
-    estimator = _RecordingEstimator(make_estimator(config.depth, device=run.device, threads=setting.threads))
+    estimator = make_estimator(config.depth, device=run.device, threads=setting.threads)
+    found: list[tuple[DepthEstimate, DepthEstimate] | None] = [None]
+
+    def estimate(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        depths = found[-1] = estimator(first, second)
+        return depths
+
     plans = _plans(run, config, folder)
     first_plan = next(plans)
     short = plan_interpolation(replace(first_plan.job, frames=1 + PHOTOGRAPHS_PER_CLIP))
-    _clip(replace(short, config=config), estimator)
+    _clip(replace(short, config=config), estimate, 1)
     started = computing()
     on_warm()
-    clips, found = [], []
+    clips = []
     for plan in chain((first_plan,), plans):
-        clips.append(_per_pair_and_frame(_clip(plan, estimator), run.frames))
-        found.append(estimator.found)
+        clips.append(_clip(plan, estimate, run.frames))
+        found.append(None)
     memory = _peak_memory()
     start = max(0.0, started - sum(clips[0].values()))
     seconds = {"start": start, **{stage: fmean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
-    scored = run.pairs if run.is_scored else ()
-    scores = {_name(pair): _scores(pair, depths, first_plan) for pair, depths in zip(scored, found, strict=False)}
+    scores = {}
+    for pair, depths in zip(run.pairs if run.is_scored else (), found, strict=False):
+        if pair.between:
+            name = f"{pair.scene} {pair.first.name} {pair.second.name}"
+            scores[name] = fmean(_scores(pair, depths, first_plan))
     return Figures(
         setting, config=config, key=run.key, source=first_plan.source_sizes[0], seconds=seconds, probe=probe(),
-        memory=memory, scores={name: fmean(of_pair) for name, of_pair in scores.items() if of_pair}, pairs=len(clips),
+        memory=memory, scores=scores, pairs=len(clips),
     )  # fmt: skip
-
-
-def _name(pair: Pair) -> str:
-    return f"{pair.scene} {pair.first.name} {pair.second.name}"
-
-
-class _RecordingEstimator:
-    """An estimator that keeps what it found last."""
-
-    def __init__(self, estimator: DepthEstimator) -> None:
-        self._estimator = estimator
-        self.found: tuple[DepthEstimate, DepthEstimate] | None = None
-
-    def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
-        self.found = self._estimator(first, second)
-        return self.found
 
 
 def _plans(run: BenchRun, config: RunConfig, folder: Path) -> Iterator[InterpolationPlan]:
@@ -137,42 +129,29 @@ def _plans(run: BenchRun, config: RunConfig, folder: Path) -> Iterator[Interpola
 
 
 def _copied(frame: SceneFrame, place: Path, name: str) -> tuple[str, PosedPanorama]:
-    image = place / f"{name}{frame.image.suffix}"
-    shutil.copyfile(frame.image, image)
-    mask = None if frame.mask is None else place / f"{name}_mask{frame.mask.suffix}"
-    if frame.mask is not None and mask is not None:
-        shutil.copyfile(frame.mask, mask)
+    image = shutil.copyfile(frame.image, place / f"{name}{frame.image.suffix}")
+    mask = frame.mask and shutil.copyfile(frame.mask, place / f"{name}_mask{frame.mask.suffix}")
     return image.name, PosedPanorama(frame.pose, mask=mask)
 
 
-def _clip(plan: InterpolationPlan, estimator: DepthEstimator) -> dict[str, float]:
-    """Seconds of computing by stage; whatever is in no other stage is ``encode``."""
+def _clip(plan: InterpolationPlan, estimator: DepthEstimator, frames: int) -> dict[str, float]:
+    """Seconds of computing by stage, for the pair or for each frame; what is in no other stage is ``encode``."""
     seconds = run_interpolation(plan, estimator=estimator, now=computing).seconds
     staged = {stage: value for stage, value in seconds.items() if stage not in {"total", "encode"}}
     rest = max(0.0, seconds["total"] - math.fsum(staged.values()))
-    order = [*(stage for stage in staged if stage not in FRAME_STAGES), *FRAME_STAGES]
-    return {stage: staged.get(stage, 0.0) for stage in order} | {"encode": rest}
-
-
-def _per_pair_and_frame(seconds: dict[str, float], frames: int) -> dict[str, float]:
-    return {stage: value / frames if stage in FRAME_STAGES else value for stage, value in seconds.items()}
+    of_frames = {stage: staged.pop(stage, 0.0) / frames for stage in FRAME_STAGES}
+    return staged | of_frames | {"encode": rest / frames}
 
 
 def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan: InterpolationPlan) -> list[float]:
     """WS-PSNR of the true frames between, at their own size, to which frames are resampled."""
-    if not pair.between:
-        return []
     threads = plan.job.threads
     loaded = load_pair(pair, None, threads)
     known = None if depths is None else lambda first, second: depths
     method = make_method(plan.config, plan.size, threads=threads, estimator=known)
     made = synthesize(loaded.views, [truth.waypoint for truth in loaded.truths], method)
-    images = (_resized(frame.image, loaded.size, threads) for frame in made)
+    images = (at_size(frame.image, loaded.size, threads) for frame in made)
     return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]
-
-
-def _resized(image: np.ndarray, size: tuple[int, int], threads: int | None) -> np.ndarray:
-    return image if image.shape[:2] == size else turned_panorama(image, Pose.identity(), size, threads)
 
 
 def _peak_memory() -> int | None:

@@ -7,8 +7,8 @@ import json
 import platform
 import signal
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
-from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.scene_files import write_scene
@@ -52,24 +52,14 @@ DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"
 ALL_SIZE_METHODS = tuple(f"omnisyn-{name}" for name in SCALE)
 """What is measured in further sizes as well."""
 
+CHANGES = (
+    "model=none", "fusion=geometric", "edges=none", "adaptive=none", "rows=512", "rows=2048", "renderer=two-pass",
+)  # fmt: skip
+"""Of that method, one at a time."""
+
 DEFAULT_BENCH_METHODS = (
-    "crossfade",
-    "flow",
-    *ALL_SIZE_METHODS,
-    "matching",
-    *(
-        f"{DEFAULT_METHOD}:{change}"
-        for change in (
-            "model=none",
-            "fusion=geometric",
-            "edges=none",
-            "adaptive=none",
-            "rows=512",
-            "rows=2048",
-            "renderer=two-pass",
-        )
-    ),
-)
+    "crossfade", "flow", *ALL_SIZE_METHODS, "matching", *(f"{DEFAULT_METHOD}:{change}" for change in CHANGES),
+)  # fmt: skip
 """What is measured unless something else is asked for: everything that costs time and that users may choose."""
 
 TIMED_PAIRS = 2
@@ -82,7 +72,6 @@ class BenchJob:
 
     Attributes:
         dataset: folder of scenes; figures without true frames have no accuracy.
-        report: folder for results; made if it is not there.
         methods: names that :func:`omnisyn_cli.evaluation.methods.find_methods` knows, separated by commas.
         sizes: (height, width) of the frames; those of the presets alone from the second one on.
         threads: empty means one per core.
@@ -93,7 +82,6 @@ class BenchJob:
     """
 
     dataset: Path
-    report: Path
     methods: str = ",".join(DEFAULT_BENCH_METHODS)
     sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048), (2048, 4096))
     threads: tuple[int, ...] = ()
@@ -101,15 +89,6 @@ class BenchJob:
     layout: str = "auto"
     pairs: str | None = None
     device: str = "auto"
-
-
-@dataclass(frozen=True)
-class BenchPlan:
-    """A job with its settings and pairs."""
-
-    job: BenchJob
-    settings: tuple[Setting, ...]
-    pairs: tuple[Pair, ...]
 
 
 def make_scenes(folder: Path, size: tuple[int, int]) -> None:
@@ -127,10 +106,10 @@ def make_scenes(folder: Path, size: tuple[int, int]) -> None:
                 write_scene(staged, scene, path, PANORAMA_NAMES, size, SUPERSAMPLE)
 
 
-def plan_bench(job: BenchJob) -> BenchPlan:
-    """All settings in their order; nothing is measured yet.
+def plan_bench(job: BenchJob) -> list[BenchRun]:
+    """What is to be measured, in its order; nothing is yet.
 
-    InputError: no such method, or one that has no video; no scenes, or poses that cannot be read.
+    InputError: no such method, or one that has no video; no scenes, or poses or true frames that cannot be read.
     """
     methods = find_methods(job.methods)
     for method in methods:
@@ -141,19 +120,24 @@ def plan_bench(job: BenchJob) -> BenchPlan:
     pairs = tuple(pair for source in find_scenes(job.dataset, job.layout) for pair in choose(source.read()))
     if not pairs:
         raise InputError(f"{job.dataset}: expected two panoramas in a scene, got fewer; choose another data set")
-    return BenchPlan(job, tuple(_settings(job, [method.name for method in methods])), pairs)
+    truth = next((frame.image for pair in pairs for frame in pair.between), pairs[0].first.image)
+    rows = read_header(truth).height
+    return [
+        BenchRun(
+            Setting(method.name, size, threads), pairs if size[0] <= rows else pairs[:TIMED_PAIRS], job.frames,
+            job.device, is_scored=size[0] <= rows,
+        )
+        for size in job.sizes
+        for threads in job.threads or (available_threads(),)
+        for method in methods
+        if size == job.sizes[0] or method.name in ALL_SIZE_METHODS
+    ]  # fmt: skip
 
 
-def _settings(job: BenchJob, methods: Sequence[str]) -> Iterator[Setting]:
-    for size in job.sizes:
-        for threads in job.threads or (available_threads(),):
-            for method in methods:
-                if size == job.sizes[0] or method in ALL_SIZE_METHODS:
-                    yield Setting(method, size, threads)
-
-
-def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None = None) -> list[Figures]:
-    """Measure what is not measured yet; the figures of all settings in their order.
+def run_bench(
+    report: Path, runs: Sequence[BenchRun], on_setting: Callable[[int, Figures], None] | None = None
+) -> list[Figures]:
+    """Measure what is not measured yet in the folder of a report; the figures of all settings in their order.
 
     ``on_setting`` is called with the number of finished settings and the figures of the last one.
 
@@ -161,16 +145,18 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
         InputError: the results of an earlier run cannot be read, or a file of the data set is missing.
         OutputPathError, WriteError: the folder of the report cannot be written.
     """
-    make_folder(plan.job.report, "results")
-    path = plan.job.report / RESULTS_NAME
+    make_folder(report, "results")
+    path = report / RESULTS_NAME
     known = {figures.key: figures for figures in _read(path) if figures.status == "done"}
     files = Fingerprints()
     measured: list[Figures] = []
-    for setting in plan.settings:
-        key = _key(plan, setting, files)
+    for run in runs:
+        ingredients = [run.setting.name, *find_method(run.setting.method).ingredients()]
+        options = {"frames": run.frames, "device": run.device}
+        key = "-".join(files.of(pair, ingredients, options)[:16] for pair in run.pairs)
         figures = known.get(key)
         if figures is None:
-            figures = _measure_in_child(_run(plan, setting, key))
+            figures = _measure_in_child(replace(run, key=key))
             append_line(path, figures.to_json())
         measured.append(figures)
         if on_setting:
@@ -178,23 +164,9 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
     return measured
 
 
-def _run(plan: BenchPlan, setting: Setting, key: str) -> BenchRun:
-    """What to do for a setting."""
-    truth = next((frame.image for pair in plan.pairs for frame in pair.between), plan.pairs[0].first.image)
-    is_scored = setting.size[0] <= read_header(truth).height
-    pairs = plan.pairs if is_scored else plan.pairs[:TIMED_PAIRS]
-    return BenchRun(setting, pairs, plan.job.frames, plan.job.device, key, is_scored)
-
-
 def machine_in_words() -> str:
     """System, processor and number of cores."""
     return f"{platform.system()} {platform.machine()}, {available_threads()} cores"
-
-
-def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
-    ingredients = [setting.name, *find_method(setting.method).ingredients()]
-    options = {"frames": plan.job.frames, "device": plan.job.device}
-    return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)
 
 
 def _read(path: Path) -> list[Figures]:

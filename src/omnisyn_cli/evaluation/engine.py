@@ -4,9 +4,9 @@ Interrupted and started again, a run goes on where it was: units whose inputs, o
 in ``results.jsonl`` are not done again. What is broken or unavailable is tried again, for it may have been repaired.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,9 @@ from omnisyn_cli.evaluation.datasets import (
     tours_of_photographs,
 )
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
-from omnisyn_cli.evaluation.grouping import median_depth
+from omnisyn_cli.evaluation.grouping import BOUND, median_depth
 from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
 from omnisyn_cli.evaluation.methods import (
-    BOUND,
     PHOTOGRAPH_METHODS,
     ComparedMethod,
     MethodAtWork,
@@ -35,15 +34,7 @@ from omnisyn_cli.evaluation.methods import (
     also_in_tours,
     find_methods,
 )
-from omnisyn_cli.evaluation.results import (
-    FrameRecord,
-    Status,
-    UnitRecord,
-    append_record,
-    latest_records,
-    read_records,
-    worst_frames,
-)
+from omnisyn_cli.evaluation.results import Status, UnitRecord, append_record, read_records, worst_frames
 from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.io.outputs import make_folder
@@ -154,14 +145,13 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
         raise InputError(f"{job.pairs}: expected pairs of the scenes in {job.dataset}, got none; check the names")
     if job.methods == "usual" and job.leave_out:
         methods = find_methods(",".join(PHOTOGRAPH_METHODS))
-    elif job.methods == "usual" and not any(_has_depth(pair) for pair in pairs):
+    elif job.methods == "usual" and not any(pair.first.depth and pair.second.depth for pair in pairs):
         methods = [method for method in methods if method.name != BOUND]
     return EvaluationPlan(job, tuple(methods), tuple(pairs), tuple(findings))
 
 
-def _has_depth(pair: Pair) -> bool:
-    """Whether the true depth of both panoramas is known."""
-    return pair.first.depth is not None and pair.second.depth is not None
+def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
+    return UnitRecord("", source.name, "", "", "", status, reason)
 
 
 def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
@@ -173,7 +163,7 @@ def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | 
 
     records: list[UnitRecord] = []
     try:
-        for record in _written_records(plan, on_unit):
+        for record in _written(plan, on_unit):
             records.append(record)  # noqa: PERF402 - an interruption leaves those that are finished
     finally:
         if records:
@@ -190,39 +180,23 @@ def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], No
         InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one.
         OutputPathError, WriteError: the folder of the report cannot be written.
     """
-    return list(_written_records(plan, on_unit))
+    return list(_written(plan, on_unit))
 
 
-def _written_records(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
-    units = 0
-    for record in recorded(plan.job.report, partial(_records, plan)):
+def _written(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
+    """Every record once it is a line of ``results.jsonl``, which it may have been before."""
+    folder, units = plan.job.report, 0
+    make_folder(folder, "the report")
+    known = {record.unit: record for record in read_records(folder)}
+    for record in _records(plan, known):
+        former = known.get(record.unit)
+        if former is None or former.to_json() != record.to_json():  # as JSON undefined numbers are equal
+            append_record(folder, record)
+            known[record.unit] = record
         yield record
         units += bool(record.method)
         if on_unit and record.method:
             on_unit(units, record)
-
-
-def recorded(report: Path, records: Callable[[KnownRecords], Iterable[UnitRecord]]) -> Iterator[UnitRecord]:
-    """Every record once it is a line of ``results.jsonl``, which it may have been before.
-
-    ``records`` makes them, given the last line of every unit.
-
-    Raises:
-        InputError: the results of an earlier run cannot be read.
-        OutputPathError, WriteError: the folder cannot be written.
-    """
-    make_folder(report, "the report")
-    known = {record.unit: record for record in latest_records(read_records(report))}
-    for record in records(known):
-        former = known.get(record.unit)
-        if former is None or former.to_json() != record.to_json():  # as JSON undefined numbers are equal
-            append_record(report, record)
-            known[record.unit] = record
-        yield record
-
-
-def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
-    return UnitRecord("", source.name, "", "", "", status, reason)
 
 
 def _records(plan: EvaluationPlan, known: KnownRecords) -> Iterator[UnitRecord]:
@@ -264,7 +238,8 @@ class _UnitRunner:
                 yield replace(blank, reason=one_line(error))
                 continue
             former = known.get(blank.unit)
-            if former is not None and self._is_done(former, blank.key):
+            is_done = former is not None and former.key == blank.key and former.status == "done"
+            if former is not None and is_done and has_all_pictures(self._job.report, former):
                 yield former
                 continue
             loaded = loaded or self._loaded(pair)
@@ -281,9 +256,6 @@ class _UnitRunner:
         except Exception as error:  # noqa: BLE001 - one broken pair must not end an evaluation of many
             return one_line(error)
 
-    def _is_done(self, former: UnitRecord, key: str) -> bool:
-        return former.key == key and former.status == "done" and has_all_pictures(self._job.report, former)
-
     def _unit(
         self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, method: ComparedMethod, depths: PairDepths
     ) -> UnitRecord:
@@ -299,21 +271,13 @@ class _UnitRunner:
             return replace(blank, status="unavailable", reason=one_line(error))
         except Exception as error:  # noqa: BLE001 - one broken method must not end a comparison of many
             return replace(blank, reason=one_line(error))
-        return self._done(blank, pair, loaded, made)
-
-    def _done(self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, made: Measurement) -> UnitRecord:
-        pictures: list[dict[str, str]] = [{} for _ in loaded.targets]
-        depths = made.depths
+        frames, of_views = made.frames, made.depths
         if self._job.pictures:
             writer = PictureWriter(self._job.report, pair, blank.method)
-            pictures, depths = writer.frames(loaded, made), writer.depths(loaded, made)
-        frames = tuple(
-            FrameRecord(target.name, target.waypoint.t, target.distance, scores, shown, by_kind)
-            for target, scores, shown, by_kind in zip(loaded.targets, made.scores, pictures, made.by_kind, strict=True)
-        )
+            frames, of_views = writer.frames(loaded, made), writer.depths(loaded, made)
         return replace(
             blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded, made), frames=frames,
-            depths=depths, temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
+            depths=of_views, temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
         )  # fmt: skip
 
 

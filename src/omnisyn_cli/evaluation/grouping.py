@@ -1,17 +1,21 @@
-"""Records of finished units, sorted into the groups that tables and diagrams show."""
+"""Records of finished units, sorted into the groups that tables and diagrams show, and how far means can be relied on.
+
+Standard errors are over scenes, since frames of one scene are alike; over pairs where there is a single scene.
+"""
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-ORACLE_METHODS = frozenset({"oracle-depth"})
-"""Methods that are given the true depth, whatever their parameters: upper bounds."""
+BOUND = "oracle-depth"
+"""The method that is given the true depth: whatever its parameters, an upper bound of the others."""
 
 TOUR_PARAMETER = "neighbours=2"
 """The parameter of a method that lets depth come from both neighbours of a panorama."""
@@ -31,6 +35,15 @@ TIME_BANDS = 5
 STAGES = ("depth", "flow", "mesh", "render", "fuse")
 """Stages in the order in which they are gone through; others follow."""
 
+Sample = Mapping[tuple[Any, ...], float]
+"""Values by where they were measured: the scene, the first panorama, the second, and what tells the rest apart."""
+
+PAIR_PARTS = 3
+"""Parts of such a key that name a pair."""
+
+STUDENT_T = (math.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23)
+"""97.5 % quantiles of Student's distribution, by degrees of freedom; the last one is enough for more."""
+
 
 def finished(records: Iterable[UnitRecord], method: str | None = None) -> list[UnitRecord]:
     """The units that were measured, all or those of a method."""
@@ -39,7 +52,7 @@ def finished(records: Iterable[UnitRecord], method: str | None = None) -> list[U
 
 def is_oracle(method: str) -> bool:
     """Whether a method is an upper bound, which is shown but never marked as the best."""
-    return method.partition(":")[0] in ORACLE_METHODS
+    return method.partition(":")[0] == BOUND
 
 
 def ranked_methods(records: Sequence[UnitRecord]) -> list[str]:
@@ -133,15 +146,9 @@ def time_band(t: float) -> tuple[float, str]:
 
 def pair_names(records: Iterable[UnitRecord]) -> dict[tuple[str, str, str], str]:
     """What each pair is called: its scene, and which panoramas where the scene has several pairs."""
-    pairs: defaultdict[str, dict[tuple[str, str, str], None]] = defaultdict(dict)
-    for record in records:
-        if record.method:
-            pairs[record.scene][record.pair] = None
-    return {
-        pair: scene if len(listed) == 1 else f"{scene}: {pair[1]} → {pair[2]}"
-        for scene, listed in pairs.items()
-        for pair in listed
-    }
+    pairs = dict.fromkeys(record.pair for record in records if record.method)
+    counts = Counter(scene for scene, *_ in pairs)
+    return {pair: pair[0] if counts[pair[0]] == 1 else f"{pair[0]}: {pair[1]} → {pair[2]}" for pair in pairs}
 
 
 @dataclass(frozen=True)
@@ -170,3 +177,42 @@ def gaps(records: Sequence[UnitRecord]) -> list[Gap]:
             where = names[record.pair] if record.method else record.scene
             found[record.method, record.status, record.reason].append(where)
     return [Gap(*key, tuple(where)) for key, where in found.items()]
+
+
+def standard_error(sample: Sample) -> float:
+    """Of the mean of all values, which are grouped by scene; NaN of a single group.
+
+    Source: Cameron and Miller, "A Practitioner's Guide to Cluster-Robust Inference", 2015, equation 11.
+    """
+    return _error_and_groups(sample)[0]
+
+
+def beats(sample: Sample, other: Sample) -> bool:
+    """Whether the mean is higher than that of another, of the same keys, by more than chance explains (95 %)."""
+    difference = {where: value - other[where] for where, value in sample.items()}
+    error, groups = _error_and_groups(difference)
+    return bool(mean(difference.values()) > STUDENT_T[min(groups - 1, len(STUDENT_T) - 1)] * error)
+
+
+def undominated(samples: Sequence[Sample | None]) -> list[bool]:
+    """Those that no other one beats, if they beat any; None takes no part, nor does who lacks a value of another."""
+    everywhere = {where for sample in samples if sample is not None for where in sample}
+    complete = [sample for sample in samples if sample is not None and sample.keys() == everywhere]
+    return [
+        sample is not None
+        and sample.keys() == everywhere
+        and any(beats(sample, other) for other in complete)
+        and not any(beats(other, sample) for other in complete)
+        for sample in samples
+    ]
+
+
+def _error_and_groups(sample: Sample) -> tuple[float, int]:
+    parts = 1 if len({where[0] for where in sample}) > 1 else PAIR_PARTS
+    center, sums = mean(sample.values()), defaultdict[tuple[Any, ...], float](float)
+    for where, value in sample.items():
+        sums[where[:parts]] += value - center
+    groups = len(sums)
+    if groups < 2 or not math.isfinite(center):
+        return math.nan, groups
+    return math.sqrt(groups / (groups - 1) * math.fsum(each * each for each in sums.values())) / len(sample), groups

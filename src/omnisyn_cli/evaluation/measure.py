@@ -6,24 +6,38 @@ both panoramas, :data:`CLIP_STEP` of the way apart (two seconds of video at 30 f
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.evaluation import metrics
-from omnisyn_cli.evaluation.metrics.image import SSIM_WINDOW
+from omnisyn_cli.evaluation.metrics.depth import confidence_metrics, depth_metrics, left_right_metrics, scored_pixels
+from omnisyn_cli.evaluation.metrics.flying import flying_share
+from omnisyn_cli.evaluation.metrics.image import (
+    SSIM_WINDOW,
+    Masks,
+    Picture,
+    end_masks,
+    end_psnr,
+    kind_figures,
+    lrce,
+    psnr,
+    ssim,
+    ws_psnr,
+    ws_ssim,
+)
+from omnisyn_cli.evaluation.metrics.photographs import photograph_scores
+from omnisyn_cli.evaluation.metrics.shards import PhotographEdges, shard_share
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
-from omnisyn_cli.evaluation.results import DepthRecord
-from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame
+from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord
+from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame, at_size
 from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
-from omnisyn_cli.geometry.pose import Pose, at_same_position, interpolate_pose
+from omnisyn_cli.geometry.pose import at_same_position, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
 from omnisyn_cli.synthesis.methods import Pair
-from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -42,9 +56,6 @@ END_SHARE = 1e-6
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
 """A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""
 
-Kinds = Mapping[str, Bool[np.ndarray, "height width"]]
-"""Where the pixels of each kind are."""
-
 PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
 """Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`."""
 
@@ -55,19 +66,17 @@ class Measurement:
 
     Attributes:
         images: a picture for every target of the pair.
-        scores: of every picture.
         kinds: of every picture, where pixels of each kind are; without geometry only the ``top`` and the ``bottom``.
-        by_kind: of every picture, see :func:`omnisyn_cli.evaluation.metrics.kind_figures`; empty without true frames.
+        frames: what is known of every picture.
         depths: of both views; empty for methods without.
         found: the depth that the method found, or None.
         temporal: see :class:`omnisyn_cli.evaluation.results.UnitRecord`.
         seconds: for the targets, by stage, with their ``total``; clips and ends are not counted.
     """
 
-    images: tuple[Float[np.ndarray, "height width 3"], ...]
-    scores: tuple[dict[str, float], ...]
-    kinds: tuple[Kinds, ...]
-    by_kind: tuple[dict[str, dict[str, float]], ...]
+    images: tuple[Picture, ...]
+    kinds: tuple[Masks, ...]
+    frames: tuple[FrameRecord, ...]
     depths: tuple[DepthRecord, ...]
     found: tuple[DepthEstimate, DepthEstimate] | None
     temporal: dict[str, float]
@@ -86,98 +95,65 @@ def measure(
     made = method(pair.size, clock)
     images = tuple(_clip_to_unit(made.frame(target.waypoint).image) for target in pair.targets)
     seconds = dict(clock.seconds)
-    scores = _scores(images, pair, perceptual)
-    kinds = tuple(kinds_at(made, target.waypoint, pair.size) for target in pair.targets)
-    by_kind = _by_kind(images, kinds, pair)
-    temporal = {**_clip_measures(method, made, pair), **_end_errors(made, pair, threads)}
-    found = made.depths if _has_parallax(pair) else None
+    kinds = tuple(_kinds_at(made, target.waypoint, pair.size) for target in pair.targets)
+    frames = tuple(_frame_records(images, kinds, pair, perceptual))
+    has_parallax = not at_same_position(*(view.pose for view in pair.views))
+    clip = _clip_measures(method, made, pair) if has_parallax else {}
+    found = made.depths if has_parallax else None
     depths = () if found is None else depth_records(found, pair.views, names)
     total = {**seconds, "total": math.fsum(seconds.values())}
-    return Measurement(images, scores, kinds, by_kind, depths, found, temporal, total)
+    return Measurement(images, kinds, frames, depths, found, {**clip, **_end_errors(made, pair, threads)}, total)
 
 
-def _scores(
-    images: tuple[Float[np.ndarray, "height width 3"], ...], pair: LoadedPair, perceptual: Perceptual | None
-) -> tuple[dict[str, float], ...]:
-    """Of every picture: its shards; against true frames also its own, how it changed, and how much of it flies."""
-    photographs = metrics.PhotographEdges(pair.views, pair.size)
-    shards = [
-        metrics.shard_share(image, target.waypoint.pose, photographs)
-        for image, target in zip(images, pair.targets, strict=True)
-    ]
-    if not pair.truths:
-        return tuple({"shards": share} for share in shards)
-    scores = tuple(
-        {**_truth_scores(image, truth, perceptual), "shards": share}
-        for image, truth, share in zip(images, pair.truths, shards, strict=True)
-    )
-    if pair.are_photographs:
-        return scores
-    for score, change in zip(scores[1:], change_psnr(images, [truth.image for truth in pair.truths]), strict=True):
-        score["change_psnr"] = change
-    if all(view.known_depth is not None for view in pair.views):
-        for score, image, truth in zip(scores, images, pair.truths, strict=True):
-            score["flying"] = metrics.flying_share(image, truth.image, truth.waypoint.pose, pair.views)
-    return scores
-
-
-def _truth_scores(
-    image: Float[np.ndarray, "height width 3"], truth: TrueFrame, perceptual: Perceptual | None
-) -> dict[str, float]:
-    if truth.usable is None:
-        return frame_scores(image, truth.image, perceptual)
-    return metrics.photograph_scores(image, truth.image, truth.usable)
-
-
-def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
+def _kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Masks:
     """Where pixels of each kind are in a frame; without geometry only the ends."""
     shown = made.renderings(waypoint)
     if shown is None:
-        return metrics.end_masks(size)
-    return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **metrics.end_masks(size)}
+        return end_masks(size)
+    return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **end_masks(size)}
 
 
-def _by_kind(
-    images: tuple[Float[np.ndarray, "height width 3"], ...], kinds: tuple[Kinds, ...], pair: LoadedPair
-) -> tuple[dict[str, dict[str, float]], ...]:
-    if not pair.truths or pair.are_photographs:
-        return ({},) * len(images)
-    return tuple(
-        metrics.kind_figures(image, truth.image, masks)
-        for image, truth, masks in zip(images, pair.truths, kinds, strict=True)
-    )
+def _frame_records(
+    images: Sequence[Picture], kinds: Sequence[Masks], pair: LoadedPair, perceptual: Perceptual | None
+) -> Iterator[FrameRecord]:
+    """Of every picture: its shards; against true frames also its own scores, how it changed, how much of it flies."""
+    photographs = PhotographEdges(pair.views, pair.size)
+    is_depth_known = all(view.known_depth is not None for view in pair.views)
+    changes = [] if pair.are_photographs or not pair.truths else change_psnr(images, [t.image for t in pair.truths])
+    for number, (target, image, masks) in enumerate(zip(pair.targets, images, kinds, strict=True)):
+        scores = {"shards": shard_share(image, target.waypoint.pose, photographs)}
+        by_kind: dict[str, dict[str, float]] = {}
+        if isinstance(target, TrueFrame) and target.usable is not None:
+            scores = photograph_scores(image, target.image, target.usable) | scores
+        elif isinstance(target, TrueFrame):
+            scores = frame_scores(image, target.image, perceptual) | scores
+            by_kind = kind_figures(image, target.image, masks)
+            if number > 0:
+                scores["change_psnr"] = changes[number - 1]
+            if is_depth_known:
+                scores["flying"] = flying_share(image, target.image, target.waypoint.pose, pair.views)
+        yield FrameRecord(target.name, target.waypoint.t, target.distance, scores, by_kind=by_kind)
 
 
-def _has_parallax(pair: LoadedPair) -> bool:
-    first, second = pair.views
-    return not at_same_position(first.pose, second.pose)
-
-
-def _clip_to_unit(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+def _clip_to_unit(image: Picture) -> Picture:
     """As a video holds it: black and white are the ends, whatever interpolation makes of edges."""
     return np.asarray(np.clip(image, 0.0, 1.0))
 
 
-def frame_scores(
-    image: Float[np.ndarray, "height width 3"],
-    truth: Float[np.ndarray, "height width 3"],
-    perceptual: Perceptual | None = None,
-) -> dict[str, float]:
+def frame_scores(image: Picture, truth: Picture, perceptual: Perceptual | None = None) -> dict[str, float]:
     """All measures of one picture, by the names of :class:`omnisyn_cli.evaluation.results.FrameRecord`.
 
     Pictures of fewer than 11 rows have no structural similarity.
     """
     scores = {
-        "ws_psnr": metrics.ws_psnr(image, truth),
-        "psnr": metrics.psnr(image, truth),
-        "lrce": metrics.lrce(image, truth),
+        "ws_psnr": ws_psnr(image, truth),
+        "psnr": psnr(image, truth),
+        "lrce": lrce(image, truth),
+        "psnr_top": end_psnr(image, truth, is_bottom=False),
+        "psnr_bottom": end_psnr(image, truth, is_bottom=True),
     }
-    scores.update(
-        psnr_top=metrics.end_psnr(image, truth, is_bottom=False),
-        psnr_bottom=metrics.end_psnr(image, truth, is_bottom=True),
-    )
     if len(truth) >= SSIM_WINDOW:
-        scores.update(ws_ssim=metrics.ws_ssim(image, truth), ssim=metrics.ssim(image, truth))
+        scores.update(ws_ssim=ws_ssim(image, truth), ssim=ssim(image, truth))
     if perceptual is not None:
         scores["lpips"] = perceptual(image, truth)
     return scores
@@ -195,16 +171,16 @@ def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
         return DepthRecord(name)
     known = view.known_depth
     truth = np.where(known.confidence > 0, known.inverse_depth, np.nan).astype(np.float64)
-    if not metrics.scored_pixels(truth).any():
+    if not scored_pixels(truth).any():
         return DepthRecord(name)
     estimate, confidence = (
         _resized(each.astype(np.float64), truth.shape) for each in (found.inverse_depth, found.confidence)
     )
-    plain, weighted = (metrics.depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
-    doubt, reliability = metrics.confidence_metrics(estimate, confidence, truth)
+    plain, weighted = (depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
+    doubt, reliability = confidence_metrics(estimate, confidence, truth)
     if found.stereo_valid is not None:
         stereo_valid = sample_nearest(found.stereo_valid.astype(np.float32), pixel_directions(*truth.shape))
-        doubt |= metrics.left_right_metrics(estimate, truth, stereo_valid > 0)
+        doubt |= left_right_metrics(estimate, truth, stereo_valid > 0)
     return DepthRecord(name, plain, weighted, doubt=doubt, reliability=reliability)
 
 
@@ -219,7 +195,7 @@ def _clip_measures(method: PairMaker, made: Pair, pair: LoadedPair) -> dict[str,
     times = 0.5 + CLIP_STEP * (np.arange(CLIP_FRAMES) - CLIP_FRAMES // 2)
     first, second = (view.pose for view in pair.views)
     path = [Waypoint(0, float(t), interpolate_pose(first, second, float(t))) for t in times]
-    if not _has_parallax(pair) or made.inverse_depth(path[0]) is None:
+    if made.inverse_depth(path[0]) is None:
         return {}
     height = min(CLIP_HEIGHT, pair.size[0])
     clip = method((height, 2 * height), Stopwatch())
@@ -239,8 +215,7 @@ def _end_errors(made: Pair, pair: LoadedPair, threads: int | None) -> dict[str, 
     """How far both ends are from the photographs that are shown there: what would pop."""
     errors = []
     for t, view in zip((END_SHARE, 1 - END_SHARE), pair.views, strict=True):
-        shown, truth = _clip_to_unit(made.frame(Waypoint(0, t, view.pose)).image), view.image
-        if truth.shape[:2] != pair.size:
-            truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
+        shown = _clip_to_unit(made.frame(Waypoint(0, t, view.pose)).image)
+        truth = at_size(view.image, pair.size, threads)
         errors.append(math.sqrt(mean_over_sphere((shown.astype(np.float64) - _clip_to_unit(truth)) ** 2)))
     return {"end_first": errors[0], "end_second": errors[1]}

@@ -29,7 +29,7 @@ import numpy as np
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.grouping import TOUR_PARAMETER
+from omnisyn_cli.evaluation.grouping import BOUND, TOUR_PARAMETER
 from omnisyn_cli.evaluation.simulated_prior import NAME as SIMULATED_PRIOR
 from omnisyn_cli.evaluation.simulated_prior import SimulatedModel
 from omnisyn_cli.fusion.geometric import GeometricFuser
@@ -103,14 +103,9 @@ class ComparedMethod:
     leaves_out_camera_fixed: bool = False
 
     def ingredients(self) -> tuple[str, ...]:
-        """What its results depend on besides its name."""
-        return ingredients_of(self.config)
-
-
-def ingredients_of(config: RunConfig) -> tuple[str, ...]:
-    """What results depend on that are made by a config: its settings, the digests of its networks as installed."""
-    installed = read_manifest()
-    return (repr(config), *(installed[name].sha256 if name in installed else "" for name in config.networks))
+        """What its results depend on besides its name: settings, and the digests of its networks as installed."""
+        installed, networks = read_manifest(), self.config.networks
+        return (repr(self.config), *(installed[name].sha256 if name in installed else "" for name in networks))
 
 
 class MethodAtWork:
@@ -277,30 +272,24 @@ BASES: Mapping[str, ComparedMethod] = {
 }  # fmt: skip
 """Methods without parameters, by name."""
 
-FUSION_PARAMETERS = {f"fusion={name}": name for name in FUSIONS}
-"""Fusions by the parameter that asks for them."""
-
-WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {"model=none": {"model": None}, "prior=none": {"prior": None}}
-"""Refined depth without one of its networks."""
-
-SETTINGS: Mapping[str, Mapping[str, Any]] = {
-    "edges=none": {"edges": False},
-    "adaptive=none": {"adaptive": False},
-    **{f"fallback={name}": {"fallback": name} for name in FALLBACKS if name != "fail"},
-}
-"""What parameters change in a config."""
-
-MIN_ROWS = 32
-"""Least height of a network's input, which is halved five times."""
-
 ONE_VIEW = "views=1"
 """The parameter of a method that shows the first panorama only."""
 
-WHAT_IS_SEEN: Mapping[str, Mapping[str, Any]] = {
+PLAIN_PARAMETERS: Mapping[str, Mapping[str, Any]] = {
+    **{f"fusion={name}": {"fusion": name, "shows_first_only": False} for name in FUSIONS},
+    "edges=none": {"edges": False},
+    "adaptive=none": {"adaptive": False},
+    **{f"fallback={name}": {"fallback": name} for name in FALLBACKS if name != "fail"},
     ONE_VIEW: {"shows_first_only": True},
     "nadir=auto": {"leaves_out_camera_fixed": True},
 }
-"""What parameters change in a method."""
+"""Parameters that every method with surfaces takes as they are, and what they change in it or in its config."""
+
+WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {"model=none": {"model": None}, "prior=none": {"prior": None}}
+"""Parameters of refined depth that leave one of its networks out."""
+
+MIN_ROWS = 32
+"""Least height of a network's input, which is halved five times."""
 
 VARIANTS = (
     f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
@@ -318,7 +307,7 @@ def find_method(name: str) -> ComparedMethod:
     base, *parameters = name.split(":")
     if base not in BASES or (parameters and not BASES[base].config.draws_surfaces):
         raise InputError(f"expected one of {', '.join(BASES)} as method, got {name!r}; choose one of these")
-    fusions = [parameter for parameter in parameters if parameter in FUSION_PARAMETERS]
+    fusions = [parameter for parameter in parameters if "fusion" in PLAIN_PARAMETERS.get(parameter, {})]
     if fusions and ONE_VIEW in parameters:
         raise InputError(f"expected {fusions[0]} or {ONE_VIEW}, got both in {name!r}: one view has nothing to fuse")
     method = BASES[base]
@@ -332,68 +321,56 @@ def find_method(name: str) -> ComparedMethod:
 def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMethod:
     """The method with a parameter; InputError: it has none of that name, or not with that value."""
     try:
-        if of_config := _config_changes(method.config, parameter):
-            return replace(method, config=replace(method.config, **of_config))
-        if of_method := _method_changes(method.config, parameter):
-            return replace(method, **of_method)
+        changes = _changes(method.config, parameter)
     except ValueError:  # no number
-        pass
-    plain = ", ".join((*FUSION_PARAMETERS, *SETTINGS, *WHAT_IS_SEEN))
-    raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {plain}, model=FILE.onnx, "
-        f"{', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx, prior-kind=perspective+depth, "
-        f"prior=simulated(0.1) (where a network refines matching) or {TOUR_PARAMETER} (where depth is estimated) after "
-        f"the colon, got {parameter!r} in {name!r}"
-    )
+        changes = {}
+    if not changes:
+        raise InputError(
+            f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {', '.join(PLAIN_PARAMETERS)}, "
+            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx, "
+            f"prior-kind=perspective+depth, prior=simulated(0.1) (where a network refines matching) or "
+            f"{TOUR_PARAMETER} (where depth is estimated) after the colon, got {parameter!r} in {name!r}"
+        )
+    of_method = {key: value for key, value in changes.items() if hasattr(method, key)}
+    of_config = {key: value for key, value in changes.items() if key not in of_method}
+    return replace(method, config=replace(method.config, **of_config), **of_method)
 
 
-def _config_changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
-    """What a parameter changes in a config; nothing where it is no such parameter. ValueError: no number."""
+def _changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
+    """What a parameter changes in a method or its config; nothing where it is none. ValueError: no number."""
     key, _, value = parameter.partition("=")
+    depth = config.depth
     if key == "cut" and 0 < float(value) <= 1:
         return {"cut": float(value), "cut_metres": None}
     if key == "metres" and float(value) > 0:
         return {"cut": None, "cut_metres": float(value)}
     if key == "renderer" and value in RENDERERS:
         return {"renderer": value}
-    if key == "model" and value.endswith(".onnx") and config.depth.strategy.role is not None:
-        return {"depth": replace(config.depth, model=value)}
-    if config.depth.strategy.model_is_optional:
-        if key == "rows" and int(value) >= MIN_ROWS:
-            return {"depth": replace(config.depth, rows=int(value))}
-        if key == "prior" and (value.endswith(".onnx") or SIMULATED_PRIOR.fullmatch(value)):
-            return {"depth": replace(config.depth, prior=value)}
-        if key == "prior-kind":
-            NetworkKind.from_words(value.replace("+", ","))
-            return {"depth": replace(config.depth, prior_kind=value.replace("+", ","))}
-        if parameter in WITHOUT_NETWORK:
-            return {"depth": replace(config.depth, **WITHOUT_NETWORK[parameter])}
-    return SETTINGS.get(parameter, {})
-
-
-def _method_changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
-    """What a parameter changes in a method besides, likewise."""
-    key, _, value = parameter.partition("=")
-    if parameter in FUSION_PARAMETERS:
-        return {"config": replace(config, fusion=FUSION_PARAMETERS[parameter]), "shows_first_only": False}
-    if parameter == TOUR_PARAMETER and config.estimates_depth:
-        return {"is_in_tour": True}
     if key == "depth":
         width, height = (int(number) for number in value.lower().split("x"))
         return {"depth_size": (height, width)} if width == 2 * height > 0 else {}
-    return WHAT_IS_SEEN.get(parameter, {})
+    if key == "model" and value.endswith(".onnx") and depth.strategy.role is not None:
+        return {"depth": replace(depth, model=value)}
+    if key == "rows" and depth.strategy.model_is_optional and int(value) >= MIN_ROWS:
+        return {"depth": replace(depth, rows=int(value))}
+    if key.startswith("prior") and depth.strategy.model_is_optional:
+        if key == "prior" and (value.endswith(".onnx") or SIMULATED_PRIOR.fullmatch(value)):
+            return {"depth": replace(depth, prior=value)}
+        if key == "prior-kind":
+            NetworkKind.from_words(words := value.replace("+", ","))
+            return {"depth": replace(depth, prior_kind=words)}
+    if parameter in WITHOUT_NETWORK and depth.strategy.model_is_optional:
+        return {"depth": replace(depth, **WITHOUT_NETWORK[parameter])}
+    if parameter == TOUR_PARAMETER and config.estimates_depth:
+        return {"is_in_tour": True}
+    return PLAIN_PARAMETERS.get(parameter, {})
 
 
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}
 """What ``all`` stands for, by name."""
 
-
-BOUND = "oracle-depth"
-"""The method that is given true depth: an upper bound of the others."""
-
 DEFAULT_METHODS = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
 """What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""
-
 
 PHOTOGRAPH_METHODS = (
     "crossfade", "flow", "matching:nadir=auto", f"omnisyn-{DEFAULT_PRESET}:nadir=auto",

@@ -5,15 +5,16 @@ from __future__ import annotations
 import io
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
-from omnisyn_cli.evaluation.metrics import merged_reliability
-from omnisyn_cli.evaluation.results import UnitRecord, mean
+from omnisyn_cli.evaluation.metrics.depth import merged_reliability
+from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 from omnisyn_cli.interpolation.planning.figures import (
     STANDARD_FRAMES,
     Figures,
@@ -68,7 +69,9 @@ def _quality_by_share(records: Sequence[UnitRecord]) -> Figure | None:
     return _quality_by(records, lambda frame: (frame.t, time_band(frame.t)[0]), "Share of the way, t")
 
 
-def _quality_by(records: Sequence[UnitRecord], coordinates: Any, title: str) -> Figure | None:
+def _quality_by(
+    records: Sequence[UnitRecord], coordinates: Callable[[FrameRecord], tuple[float, float]], title: str
+) -> Figure | None:
     """Frames as points, means over bands as lines, one colour for each method.
 
     ``coordinates`` gives the place of a frame on the axis ``title``, and the number of its band.
@@ -86,19 +89,14 @@ def _quality_by(records: Sequence[UnitRecord], coordinates: Any, title: str) -> 
         style = _style(index)
         if shows_points:
             axes.scatter([x for x, _, _ in points], [y for _, _, y in points], s=9, alpha=0.3, color=style["color"])
-        axes.plot(*_band_means(points), linewidth=1.6, markersize=5, label=_legend_label(method), **style)
+        bands: defaultdict[float, list[tuple[float, float]]] = defaultdict(list)
+        for place, band, score in points:
+            bands[band].append((place, score))
+        line = np.array([[mean(values) for values in zip(*bands[band], strict=True)] for band in sorted(bands)])
+        axes.plot(*line.T, linewidth=1.6, markersize=5, label=_legend_label(method), **style)
     axes.set_xlim(left=0.0)
     _finish(figure, axes, title, "WS-PSNR, dB")
     return figure
-
-
-def _band_means(points: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float]]:
-    """Mean place and mean score of every band, in the order of the bands."""
-    bands: defaultdict[float, list[tuple[float, float]]] = defaultdict(list)
-    for place, band, score in points:
-        bands[band].append((place, score))
-    ordered = [bands[band] for band in sorted(bands)]
-    return [mean(x for x, _ in band) for band in ordered], [mean(y for _, y in band) for band in ordered]
 
 
 def _quality_by_seconds(records: Sequence[UnitRecord]) -> Figure | None:
@@ -125,22 +123,16 @@ def _seconds_by_stage(records: Sequence[UnitRecord]) -> Figure | None:
     units = [record for record in finished(records) if record.seconds]
     if not units:
         return None
-    methods = [method for method in ranked_methods(records) if any(unit.method == method for unit in units)]
-    stages = stages_of(units)
+    methods = [method for method in ranked_methods(records) if finished(units, method)]
+    stages, names = stages_of(units), list(map(_legend_label, methods))
     figure, axes = _new_figure(len(stages), height=0.9 + 0.3 * len(methods))
-    left = [0.0] * len(methods)
+    left = np.zeros(len(methods))
     for index, stage in enumerate(stages):
-        widths = [mean(u.seconds.get(stage, 0.0) for u in units if u.method == method) for method in methods]
-        axes.barh(
-            [_legend_label(method) for method in methods],
-            widths,
-            left=left,
-            label=_legend_label(stage),
-            color=_colour(index),
-        )
-        left = [edge + width for edge, width in zip(left, widths, strict=True)]
+        widths = [mean(unit.seconds.get(stage, 0.0) for unit in finished(units, method)) for method in methods]
+        axes.barh(names, widths, left=left, label=_legend_label(stage), color=_colour(index))
+        left = left + widths
     axes.invert_yaxis()
-    axes.set_xlim(left=0.0, right=1.03 * max(left))
+    axes.set_xlim(left=0.0, right=1.03 * left.max())
     _finish(figure, axes, "Seconds per pair", "")
     return figure
 
@@ -181,12 +173,11 @@ def pareto_plot(measured: Sequence[Figures], reference_method: str) -> bytes | N
     for index, figures in enumerate(rated):
         error = gain(figures, reference)[1]
         style = {**_style(index), "markerfacecolor": _colour(index) if figures in front else "white"}
-        label = (
-            f"{figures.setting.method.removeprefix('omnisyn-')}, {figures.setting.size[1]}x{figures.setting.size[0]}"
-        )
+        method, (height, width) = figures.setting.method, figures.setting.size
         axes.errorbar(
             standard_seconds(figures), quality(figures), yerr=None if math.isnan(error) else error,
-            linestyle="none", markersize=7, capsize=2, linewidth=1.0, label=_legend_label(label), **style,
+            linestyle="none", markersize=7, capsize=2, linewidth=1.0,
+            label=_legend_label(f"{method.removeprefix('omnisyn-')}, {width}x{height}"), **style,
         )  # fmt: skip
     axes.set_xscale("log", subs=(2, 3, 5))
     _finish(figure, axes, f"Seconds of computing for {STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB")
@@ -195,11 +186,8 @@ def pareto_plot(measured: Sequence[Figures], reference_method: str) -> bytes | N
 
 def _new_figure(entries: int, height: float = FIGURE_HEIGHT) -> tuple[Figure, Axes]:
     """A diagram with room for a legend of so many entries below it."""
-    figure = Figure(
-        figsize=(FIGURE_WIDTH, height + LEGEND_LINE_HEIGHT * math.ceil(entries / LEGEND_COLUMNS)),
-        dpi=DOTS_PER_INCH,
-        layout="constrained",
-    )
+    size = (FIGURE_WIDTH, height + LEGEND_LINE_HEIGHT * math.ceil(entries / LEGEND_COLUMNS))
+    figure = Figure(size, DOTS_PER_INCH, layout="constrained")
     return figure, figure.add_subplot()
 
 
@@ -207,10 +195,8 @@ def _finish(figure: Figure, axes: Axes, x_title: str, y_title: str) -> None:
     if axes.get_xscale() == "log":
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("{x:g}")
-    axes.set_xlabel(x_title)
-    axes.set_ylabel(y_title)
+    axes.set(xlabel=x_title, ylabel=y_title, axisbelow=True)
     axes.grid(alpha=0.25)
-    axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS, frameon=False, fontsize="small")
 

@@ -1,42 +1,42 @@
-"""The report of an evaluation: a page to read, tables to paste, figures to compute with.
+"""The reports of an evaluation and of a bench: a page to read, tables to paste, figures to compute with.
 
-It is made of the records alone, whatever number of them there is, so that an unfinished evaluation has one as well.
-The page shows the worst frames of every method first, and depth beside the true depth: pictures are read from the
-folder of the report, made small and put into the page itself.
+They are made of what was measured alone, however much of it there is, so that an unfinished evaluation has one as well.
 """
 
 import csv
 import io
 import json
 import math
+import re
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
-import cv2
-import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli import __version__
-from omnisyn_cli.evaluation.grouping import figures_of, finished, gaps, pair_names, ranked_methods
-from omnisyn_cli.evaluation.plots import PLOT_TITLES, report_plots
-from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord, json_values, latest_records
-from omnisyn_cli.evaluation.tables import (
-    ERROR_NOTE,
-    Table,
-    about_units,
-    data_uri,
-    format_value,
-    render_markdown,
-    render_page,
-    report_tables,
+from omnisyn_cli.evaluation.bench_settings import DEFAULT_METHOD, machine_in_words
+from omnisyn_cli.evaluation.grouping import Gap, figures_of, finished, gaps
+from omnisyn_cli.evaluation.plots import PLOT_TITLES, pareto_plot, report_plots
+from omnisyn_cli.evaluation.results import UnitRecord, json_values, latest_records
+from omnisyn_cli.evaluation.tables import ERROR_NOTE, Cell, Column, Row, Table, format_cell, report_tables
+from omnisyn_cli.evaluation.visualization import ERROR_SCALE, data_uri, depth_sections, frame_sections
+from omnisyn_cli.interpolation.planning.figures import (
+    FRAME_STAGES,
+    STANDARD_FRAMES,
+    Figures,
+    first_seconds,
+    frame_seconds,
+    gain,
+    pair_stages,
+    pareto_front,
+    standard_seconds,
 )
-from omnisyn_cli.evaluation.visualization import ERROR_SCALE
-from omnisyn_cli.io.outputs import real_path, staged_folder, write_errors
-
-REPORT_NAME = "report"
-"""Of the files, before the extensions ``.html``, ``.md``, ``.json`` and ``.csv``."""
+from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 CSV_COLUMNS = (
     "scene", "first", "second", "method", "baseline", "subject", "name", "t", "distance", "metric", "value",
@@ -46,23 +46,16 @@ which ``metric`` names), ``depth``, ``depth-weighted``, ``doubt``, ``reliability
 ``reliability-within_5``, ``reliability-within_10`` (of a bin of confidence, whose middle ``metric`` is), ``temporal``
 or ``seconds``; ``name`` is that of the frame or panorama; ``distance`` is to the nearer panorama; lengths in metres."""
 
-FRAMES_PER_METHOD = 4
-"""The worst frames of each method that are shown."""
+MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
+"""Characters that mean something in Markdown, and are escaped."""
 
-MAX_PANORAMAS = 8
-"""The panoramas whose depth is shown."""
+WS_PSNR = Column("WS-PSNR, dB", 1)
 
-THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
-"""Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder."""
+MEMORY = Column("Memory, MB", -1, 0)
+"""The greatest resident size of a run."""
 
-FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
-"""Of the pictures of a frame, by kind."""
-
-Pictures = dict[str, str]
-"""Pictures side by side: a caption -> the whole file as an address."""
-
-Sections = dict[str, dict[str, Pictures]]
-"""By method or panorama, then by a title, which may be empty."""
+FRONT_MARK, OTHER_MARK = "●", "○"
+"""Whether a setting is on the Pareto front."""
 
 
 def write_report(folder: Path, records: Iterable[UnitRecord], about: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -73,33 +66,54 @@ def write_report(folder: Path, records: Iterable[UnitRecord], about: Mapping[str
     ``folder``, whose parent exists. WriteError: the disk is full, or the folder went away.
     """
     units = latest_records(records)
-    about = {**about, **about_units(units)}
-    tables, plots = report_tables(units), report_plots(units)
-    page = render_page(
-        "report.html.j2", about=about, error_note=ERROR_NOTE, counts=Counter(unit.status for unit in units),
-        tables=tables, gaps=gaps(units), plots=plots, titles=PLOT_TITLES, frames=frame_sections(folder, units),
-        depths=depth_sections(folder, units), error_scale=ERROR_SCALE,
+    about = {**about, **_about_units(units)}
+    tables, plots, missing = report_tables(units), report_plots(units), gaps(units)
+    page = _environment(autoescape=True).get_template("report.html.j2").render(
+        about=about, error_note=ERROR_NOTE, counts=Counter(unit.status for unit in units), tables=tables, gaps=missing,
+        plots=plots, titles=PLOT_TITLES, frames=frame_sections(folder, units), depths=depth_sections(folder, units),
+        error_scale=ERROR_SCALE,
     )  # fmt: skip
+    markdown = _environment(finalize=_escaped).get_template("report.md.j2")
     texts = {
-        "html": page,
-        "md": render_markdown(tables, gaps(units), about),
-        "json": _json(units, tables, about),
-        "csv": _csv(units),
+        "report.html": page,
+        "report.md": markdown.render(tables=tables, gaps=missing, about=about, error_note=ERROR_NOTE),
+        "report.json": _json(units, tables, missing, about),
+        "report.csv": _csv(units),
     }
+    _write(folder, texts, {f"{name}.png": data for name, data in plots.items()})
+
+
+def _write(folder: Path, texts: Mapping[str, str], pictures: Mapping[str, bytes]) -> None:
+    """Write files, all together."""
+    files = {**{name: text.encode("utf-8", "backslashreplace") for name, text in texts.items()}, **pictures}
     with staged_folder(folder) as staged, write_errors(folder):
-        for extension, text in texts.items():
-            (staged / f"{REPORT_NAME}.{extension}").write_bytes(text.encode("utf-8", "backslashreplace"))
-        for name, data in plots.items():
-            (staged / f"{name}.png").write_bytes(data)
+        for name, data in files.items():
+            (staged / name).write_bytes(data)
 
 
-def _json(units: Sequence[UnitRecord], tables: Sequence[Table], about: Mapping[str, str]) -> str:
+def _about_units(units: Sequence[UnitRecord]) -> dict[str, str]:
+    """What was measured and with what: scenes, pairs, frames and their sizes, the date and the version."""
+    measured = finished(units)
+    pairs = {unit.pair for unit in measured}
+    frames = {(*unit.pair, frame.name) for unit in measured for frame in unit.frames}
+    sizes = sorted({unit.size for unit in measured})
+    return {
+        "scenes": f"{len({scene for scene, *_ in pairs})}, with {len(pairs)} pairs and {len(frames)} frames",
+        "sizes": ", ".join(f"{width}x{height}" for height, width in sizes) or "none",
+        "date": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+        "version": f"omnisyn {__version__}",
+    }
+
+
+def _json(
+    units: Sequence[UnitRecord], tables: Sequence[Table], missing: Sequence[Gap], about: Mapping[str, str]
+) -> str:
     """Strict JSON: tables of means and all units; what is infinite or undefined is a string or null."""
     content = {
         "version": __version__,
         "about": about,
         "tables": [asdict(table) for table in tables],
-        "gaps": [asdict(gap) for gap in gaps(units)],
+        "gaps": [asdict(gap) for gap in missing],
         "units": [asdict(unit) for unit in units],
     }
     return json.dumps(json_values(content), ensure_ascii=False, allow_nan=False, indent=1) + "\n"
@@ -118,70 +132,95 @@ def _csv(units: Sequence[UnitRecord]) -> str:
     return file.getvalue()
 
 
-def frame_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
-    """For each method, the best one first, its worst frames: the true frame, the synthesised one and the error."""
-    names = pair_names(records)
-    sections: Sections = {}
-    for method in ranked_methods(records):
-        frames = ((record, f) for record in finished(records, method) for f in record.frames if f.pictures)
-        worst = sorted(frames, key=lambda item: item[1].scores.get("ws_psnr", math.inf))[:FRAMES_PER_METHOD]
-        for record, frame in worst:
-            if pictures := _pictures(folder, frame.pictures, FRAME_CAPTIONS):
-                sections.setdefault(method, {})[_frame_title(names[record.pair], frame)] = pictures
-    return sections
+def _environment(**options: Any) -> Environment:
+    environment = Environment(  # noqa: S701 - Markdown is escaped by `finalize`
+        loader=PackageLoader("omnisyn_cli.evaluation"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        **options,
+    )
+    environment.filters.update(figure=format_cell, data_uri=data_uri)
+    return environment
 
 
-def depth_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
-    """For each panorama the true depth and the depth of every method, the method with the best frames first."""
-    names, ranked = pair_names(records), ranked_methods(records)
-    found: dict[str, dict[str, DepthRecord]] = {}
-    for record in finished(records):
-        for depth in record.depths:
-            if depth.pictures:
-                found.setdefault(f"{names[record.pair]}, {depth.view}", {})[record.method] = depth
-    sections: Sections = {}
-    for panorama, depths in list(found.items())[:MAX_PANORAMAS]:
-        if pictures := _depth_pictures(folder, {method: depths[method] for method in ranked if method in depths}):
-            sections[panorama] = {"": pictures}
-    return sections
+def _escaped(value: Any) -> str:
+    """Text that Markdown shows as it is, on one line."""
+    return MARKDOWN_SPECIAL.sub(r"\\\1", " ".join(str(value).split()))
 
 
-def embedded_picture(path: Path) -> str | None:
-    """A picture file as a data URI of a JPEG at most :data:`THUMBNAIL_WIDTH` pixels wide; None if it cannot be read."""
-    try:
-        samples = np.frombuffer(path.read_bytes(), np.uint8)
-    except OSError:
-        return None
-    image = cv2.imdecode(samples, cv2.IMREAD_COLOR) if samples.size else None
-    if image is None:
-        return None
-    height, width = image.shape[:2]
-    if width > THUMBNAIL_WIDTH:
-        size = (THUMBNAIL_WIDTH, max(1, round(height * THUMBNAIL_WIDTH / width)))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, THUMBNAIL_JPEG_QUALITY])
-    return data_uri(encoded.tobytes(), "jpeg")
+def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
+    """Write ``bench.html``, ``bench.json`` and, where there is accuracy, ``bench.png``; the folder's parent exists.
+
+    WriteError: the disk is full, or the folder went away.
+    """
+    diagram, about = pareto_plot(measured, DEFAULT_METHOD), {"version": __version__, "machine": machine_in_words()}
+    template = _environment(autoescape=True).get_template("bench.html.j2")
+    values = {**about, "settings": [figures.to_json() for figures in measured]}
+    texts = {
+        "bench.html": template.render(tables=bench_tables(measured), diagram=diagram, **about),
+        "bench.json": json.dumps(values, ensure_ascii=False, allow_nan=False, indent=1) + "\n",
+    }
+    _write(folder, texts, {} if diagram is None else {"bench.png": diagram})
 
 
-def _frame_title(pair: str, frame: FrameRecord) -> str:
-    shards = f"{frame.scores.get('shards', 0.0):.1%} shards"
-    score = f"{format_value(frame.scores['ws_psnr'], 2)} dB" if "ws_psnr" in frame.scores else shards
-    return f"{pair}, {frame.name}: {score} at t = {frame.t:.2f}, {frame.distance:.2f} m from the nearer panorama"
+def bench_tables(measured: Sequence[Figures]) -> list[Table]:
+    """What settings cost and are worth, one table for each size of frames that has scores; then their stages."""
+    sizes = dict.fromkeys(figures.setting.size for figures in measured if figures.scores)
+    trades = [_trade_table([f for f in measured if f.setting.size == size and f.scores], size) for size in sizes]
+    return [*trades, _stage_table(measured)]
 
 
-def _depth_pictures(folder: Path, depths: Mapping[str, DepthRecord]) -> Pictures:
-    """The first true depth that can be read, then the estimate of every method."""
-    truths = (_pictures(folder, depth.pictures, {"truth": "true depth"}) for depth in depths.values())
-    shown = next(filter(None, truths), {})
-    for method, depth in depths.items():
-        error = depth.weighted.get("imae", math.nan)
-        caption = method if math.isnan(error) else f"{method}, IMAE {error:.4f} 1/m"
-        shown |= _pictures(folder, depth.pictures, {"depth": caption})
-    return shown
+def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
+    reference = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
+    columns = {
+        WS_PSNR: _ws_psnr,
+        Column(f"against {reference.setting.method}, dB", 1): lambda f: gain(f, reference)[0],
+        Column("± dB", 0): lambda f: gain(f, reference)[1],
+        Column(f"{STANDARD_FRAMES} frames, s", -1, 1): standard_seconds,
+        Column("First frame, s", -1, 1): first_seconds,
+        Column("Each further frame, s", -1, 3): frame_seconds,
+        MEMORY: _megabytes,
+    }
+    front = pareto_front(measured)
+    rows = tuple(
+        Row(
+            f"{FRONT_MARK if f in front else OTHER_MARK} {f.setting.name}",
+            tuple(Cell(of(f)) for of in columns.values()),
+        )
+        for f in sorted(measured, key=standard_seconds)
+    )
+    note = (
+        f"Mean of {len(reference.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
+        f"{FRONT_MARK}: nothing else is both faster and more accurate. Seconds are of computing, of one core."
+    )
+    return Table(f"What settings cost and are worth, {size[1]}x{size[0]}", note, "Setting", tuple(columns), rows)
 
 
-def _pictures(folder: Path, files: Mapping[str, str], captions: Mapping[str, str]) -> Pictures:
-    """Those of the pictures with a caption that can be read; a name that leads out of the folder is ignored."""
-    paths = {caption: real_path(folder / files[key]) for key, caption in captions.items() if key in files}
-    inside = {caption: path for caption, path in paths.items() if path.is_relative_to(real_path(folder))}
-    return {caption: uri for caption, path in inside.items() if (uri := embedded_picture(path)) is not None}
+def _stage_table(measured: Sequence[Figures]) -> Table:
+    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in pair_stages(figures)))
+    stages = ("start", *of_pairs, *FRAME_STAGES)
+    columns = (*(Column(stage, -1, 3 if stage in FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
+    rows = tuple(_stage_row(figures, stages) for figures in measured)
+    note = (
+        f"Seconds of computing: start once, {', '.join(of_pairs)} for each pair, {', '.join(FRAME_STAGES)} for "
+        "each frame; encode is the encoder's work and all that is in no other stage. Memory is the peak of the program "
+        "without the encoder."
+    )
+    return Table("All settings", note, "Setting", columns, rows)
+
+
+def _stage_row(figures: Figures, stages: Sequence[str]) -> Row:
+    if figures.status != "done":
+        return Row(figures.setting.name, (), figures.reason)
+    seconds = (figures.seconds.get(stage, 0.0) for stage in stages)
+    return Row(figures.setting.name, tuple(Cell(value) for value in (*seconds, _megabytes(figures), _ws_psnr(figures))))
+
+
+def _ws_psnr(figures: Figures) -> float:
+    return math.nan if figures.ws_psnr is None else figures.ws_psnr
+
+
+def _megabytes(figures: Figures) -> float:
+    return math.nan if figures.memory is None else figures.memory / 1e6

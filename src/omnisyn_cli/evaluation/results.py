@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from statistics import fmean
 from typing import Any, Literal
 
 from pydantic import ConfigDict, TypeAdapter
@@ -60,12 +61,12 @@ class DepthRecord:
 
     Attributes:
         view: name of the panorama.
-        plain: what :func:`omnisyn_cli.evaluation.metrics.depth_metrics` says with every pixel counting alike; empty
-            without truth.
+        plain: see :func:`omnisyn_cli.evaluation.metrics.depth.depth_metrics`, every pixel counts alike; empty without
+            truth.
         weighted: the same, pixels weighted by solid angle.
         pictures: ``depth`` and ``truth`` -> file in the Turbo colours, relative to the folder of the report.
         doubt: ``unsure_area``, ``within_5_unsure``, ``within_5_sure``, ``rank_correlation``, ``calibration_error``, see
-            :mod:`omnisyn_cli.evaluation.metrics.confidence`; some are missing where nothing was matched or doubted.
+            :mod:`omnisyn_cli.evaluation.metrics.depth`; some are missing where nothing was matched or doubted.
         reliability: ``area``, ``confidence``, ``within_5``, ``within_10`` -> middle of a bin of confidence -> number.
     """
 
@@ -150,7 +151,7 @@ RECORD = TypeAdapter(UnitRecord)
 def mean(values: Iterable[float]) -> float:
     """Arithmetic mean; NaN of nothing, infinite if one value is."""
     listed = list(values)
-    return math.fsum(listed) / len(listed) if listed else math.nan
+    return fmean(listed) if listed else math.nan
 
 
 def worst_frames(frames: Sequence[FrameRecord]) -> dict[str, str]:
@@ -178,21 +179,18 @@ def read_records(folder: Path) -> list[UnitRecord]:
 
     InputError: the file cannot be read, or a line but the last is not a record.
     """
-    path = folder / RESULTS_NAME
-    lines = complete_lines(path)
-    return [_record(path, number, line) for number, line in enumerate(lines, start=1)]
+    path, records = folder / RESULTS_NAME, []
+    for number, line in enumerate(complete_lines(path), start=1):
+        try:
+            records.append(UnitRecord.from_json(json.loads(line)))
+        except (ValueError, RecursionError) as error:
+            raise InputError(
+                f"{path}: expected a record in line {number}, got '{error!s:.200}'; remove the file or name another "
+                "folder"
+            ) from error
+    return records
 
 
 def latest_records(records: Iterable[UnitRecord]) -> list[UnitRecord]:
     """One record for each unit, the last one, in the order in which the units first appeared."""
-    latest = {record.unit: record for record in records}
-    return list(latest.values())
-
-
-def _record(path: Path, number: int, line: str) -> UnitRecord:
-    try:
-        return UnitRecord.from_json(json.loads(line))
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: expected a record in line {number}, got '{error!s:.200}'; remove the file or name another folder"
-        ) from error
+    return list({record.unit: record for record in records}.values())

@@ -46,22 +46,13 @@ def write_scene(
 
 
 def write_renderings(
-    folder: Path,
-    render: Callable[[Pose], tuple[np.ndarray, np.ndarray]],
-    path: Mapping[str, Pose],
-    *,
+    folder: Path, render: Callable[[Pose], tuple[np.ndarray, np.ndarray]], path: Mapping[str, Pose], *,
     with_depth: bool = True,
-) -> None:
-    """Write panoramas, their depth (EXR, metres) if it is wanted, and their poses.
+) -> None:  # fmt: skip
+    """Write panoramas, their depth (EXR, metres) if it is wanted, and their poses into a folder that exists.
 
-    Args:
-        folder: exists.
-        render: colours and depth of a pose.
-        path: poses by the image file of each panorama.
-        with_depth: whether to write depth as well.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    ``render`` gives the colours and the depth of a pose, ``path`` has the poses by the image file of each panorama.
+    WriteError: the disk is full, or the folder went away.
     """
     panoramas = {}
     for name, pose in path.items():

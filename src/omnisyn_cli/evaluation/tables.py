@@ -5,22 +5,14 @@ are called the best if none beats them by more than chance explains, and they be
 frame which another method measured is not, since it may have been lucky with what it measured.
 """
 
-import base64
 import math
-import re
-import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import stdev
-from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from omnisyn_cli import __version__
 from omnisyn_cli.evaluation import grouping
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
-from omnisyn_cli.evaluation.uncertainty import Sample, standard_error, undominated
 
 
 @dataclass(frozen=True)
@@ -69,62 +61,115 @@ class Table:
     rows: tuple[Row, ...]
 
 
-FRAME_COLUMNS = {
-    "ws_psnr": Column("WS-PSNR, dB", 1),
-    "psnr": Column("PSNR, dB", 1),
-    "psnr_top": Column("PSNR of the top eighth, dB", 1),
-    "psnr_bottom": Column("of the bottom eighth, dB", 1),
-    "ws_ssim": Column("WS-SSIM", 1, 4),
-    "ssim": Column("SSIM", 1, 4),
-    "lrce": Column("LRCE", -1, 4),
-    "lpips": Column("LPIPS", -1, 4),
-    "aligned_psnr": Column("WS-PSNR aligned, dB", 1),
-    "aligned_ssim": Column("WS-SSIM aligned", 1, 4),
-    "misplacement": Column("Misplacement, degrees", -1),
-}
-"""By score of a frame; the second number is -1 where less is better, then come the digits."""
+@dataclass(frozen=True)
+class Means:
+    """A table of means by method.
 
-DEPTH_COLUMNS = {
-    "imae": Column("IMAE, 1/m", -1, 4),
-    "irmse": Column("IRMSE, 1/m", -1, 4),
-    "mae": Column("MAE, m", -1, 3),
-    "rmse": Column("RMSE, m", -1, 3),
-    "abs_rel": Column("AbsRel", -1, 4),
-    "delta_105": Column("δ < 1.05", 1, 4),
-    "delta_110": Column("δ < 1.10", 1, 4),
-    "delta_125": Column("δ < 1.25", 1, 4),
-    "delta_125_squared": Column("δ < 1.25²", 1, 4),
-    "delta_125_cubed": Column("δ < 1.25³", 1, 4),
-}
-"""By score of depth, likewise."""
+    Attributes:
+        title: of the table.
+        counted: what the last column counts.
+        subject: of the figures, see :func:`omnisyn_cli.evaluation.grouping.figures_of`.
+        columns: by figure.
+        note: a sentence about them.
+    """
 
-ARTEFACT_COLUMNS = {
-    "change_psnr": Column("Change from frame to frame, dB", 1),
-    "flying": Column("Flying pixels, share of the sphere", -1, 5),
-    "shards": Column("Shards, share of edges", -1, 4),
-}
-"""By score of what should not be there: changes that the true frames lack, colours and edges that photographs lack."""
+    title: str
+    counted: str
+    subject: str
+    columns: Mapping[str, Column]
+    note: str
 
-CONFIDENCE_COLUMNS = {
-    "unsure_area": Column("Unsure area", 0, 4),
-    "within_5_unsure": Column("within 5 % there", 1, 4),
-    "within_5_sure": Column("within 5 % elsewhere", 1, 4),
-    "rank_correlation": Column("Rank correlation of doubt and error", 1, 3),
-    "calibration_error": Column("Calibration error", -1, 4),
-}
-"""By score of the confidence."""
 
-TEMPORAL_COLUMNS = {
-    "warping_error": Column("Warping error", -1, 4),
-    "flicker": Column("Flicker", -1, 4),
-    "end_first": Column("At the first panorama", -1, 4),
-    "end_second": Column("At the second panorama", -1, 4),
-}
-"""By score of consecutive frames."""
+FRAMES = Means(
+    "Means per method",
+    "Frames",
+    "frame",
+    {
+        "ws_psnr": Column("WS-PSNR, dB", 1),
+        "psnr": Column("PSNR, dB", 1),
+        "psnr_top": Column("PSNR of the top eighth, dB", 1),
+        "psnr_bottom": Column("of the bottom eighth, dB", 1),
+        "ws_ssim": Column("WS-SSIM", 1, 4),
+        "ssim": Column("SSIM", 1, 4),
+        "lrce": Column("LRCE", -1, 4),
+        "lpips": Column("LPIPS", -1, 4),
+        "aligned_psnr": Column("WS-PSNR aligned, dB", 1),
+        "aligned_ssim": Column("WS-SSIM aligned", 1, 4),
+        "misplacement": Column("Misplacement, degrees", -1),
+    },
+    "Mean over all frames between the panoramas; each is compared with the true one.",
+)
+"""How close pictures are to the true ones."""
 
-DIFFERENCE_COLUMNS = (
-    Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),
-)  # fmt: skip
+DEPTHS = tuple(
+    Means(
+        f"Depth, {how}",
+        "Panoramas",
+        subject,
+        {
+            "imae": Column("IMAE, 1/m", -1, 4),
+            "irmse": Column("IRMSE, 1/m", -1, 4),
+            "mae": Column("MAE, m", -1, 3),
+            "rmse": Column("RMSE, m", -1, 3),
+            "abs_rel": Column("AbsRel", -1, 4),
+            "delta_105": Column("δ < 1.05", 1, 4),
+            "delta_110": Column("δ < 1.10", 1, 4),
+            "delta_125": Column("δ < 1.25", 1, 4),
+            "delta_125_squared": Column("δ < 1.25²", 1, 4),
+            "delta_125_cubed": Column("δ < 1.25³", 1, 4),
+        },
+        f"On pixels with a true depth between 1 m and 50 m; {how}. Estimates beyond 100 m count as 100 m in metres.",
+    )
+    for how, subject in (("every pixel counts alike", "depth"), ("weighted by solid angle", "depth-weighted"))
+)
+"""The paper's depth table, over all panoramas whose true depth is known."""
+
+ARTEFACTS = Means(
+    "Changes, flying pixels and shards",
+    "Frames",
+    "frame",
+    {
+        "change_psnr": Column("Change from frame to frame, dB", 1),
+        "flying": Column("Flying pixels, share of the sphere", -1, 5),
+        "shards": Column("Shards, share of edges", -1, 4),
+    },
+    "Change: PSNR of the difference to the frame before, against that of the true frames. Flying pixels are more "
+    "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them. "
+    "Shards are edges that neither photograph has anywhere near; they need no true frame.",
+)
+"""What neighbouring true frames and both photographs do not show."""
+
+CONFIDENCE = Means(
+    "What is known of errors of depth",
+    "Panoramas",
+    "doubt",
+    {
+        "unsure_area": Column("Unsure area", 0, 4),
+        "within_5_unsure": Column("within 5 % there", 1, 4),
+        "within_5_sure": Column("within 5 % elsewhere", 1, 4),
+        "rank_correlation": Column("Rank correlation of doubt and error", 1, 3),
+        "calibration_error": Column("Calibration error", -1, 4),
+    },
+    "On pixels with a true depth between 1 m and 50 m, weighted by solid angle. Unsure is where both directions of "
+    "matching did not agree. Doubt is 1 − confidence, error is relative (Spearman). Calibration error: how far "
+    "confidence is from the share of the values within 10 %, in bins of confidence, on average.",
+)
+"""Whether depth knows where it is wrong."""
+
+STEADINESS = Means(
+    "Steadiness",
+    "Pairs",
+    "temporal",
+    {
+        "warping_error": Column("Warping error", -1, 4),
+        "flicker": Column("Flicker", -1, 4),
+        "end_first": Column("At the first panorama", -1, 4),
+        "end_second": Column("At the second panorama", -1, 4),
+    },
+    "Warping error: difference of a frame and the next one warped into it along the geometry. Flicker: second "
+    "difference in time of each point. At a panorama: root mean square difference from the panorama itself.",
+)
+"""How much consecutive frames differ that should not."""
 
 KINDS = {
     "agree": "Both views agree",
@@ -137,33 +182,32 @@ KINDS = {
 }
 """Kinds of pixels: every pixel is of one of the first four, and may be of the others as well."""
 
-KIND_NOTE = (
-    "Kinds are those of a method's own surfaces: what both views show there, or one, or neither, and whether within a "
-    "tenth at one distance; beside silhouettes is up to 2 pixels from a jump of depth."
+KIND_TABLES = tuple(
+    Means(
+        title,
+        "Frames",
+        f"kind-{figure}",
+        {kind: Column(name, 0, digits) for kind, name in KINDS.items()},
+        f"{note} Kinds are those of a method's own surfaces: what both views show there, or one, or neither, and "
+        "whether within a tenth at one distance; beside silhouettes is up to 2 pixels from a jump of depth.",
+    )
+    for title, note, figure, digits in (
+        ("Error by kind of pixel, dB", "PSNR of the pixels of a kind, weighted by solid angle.", "psnr", 2),
+        ("Area by kind of pixel", "Share of the sphere.", "area", 4),
+        ("Share of the squared error by kind of pixel", "1 is that of the whole picture.", "error", 4),
+    )
 )
-"""Below tables by kind of pixel."""
+"""Where pictures are wrong. Nothing is marked: every method has kinds of its own."""
 
-KIND_TABLES = (
-    ("Error by kind of pixel, dB", "PSNR of the pixels of a kind, weighted by solid angle.", "psnr", 2),
-    ("Area by kind of pixel", "Share of the sphere.", "area", 4),
-    ("Share of the squared error by kind of pixel", "1 is that of the whole picture.", "error", 4),
-)
-"""Titles, what is said below them, figures and digits."""
+DIFFERENCE_COLUMNS = (
+    Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),
+)  # fmt: skip
 
 ERROR_NOTE = (
     "± is the standard error over scenes, or over pairs of a single scene. Marked methods beat another one, and none "
     "beats them, by more than chance explains (95 %, paired by frame)."
 )
 """Below tables with standard errors."""
-
-WORST_TABLES = (
-    ("Worst frame of each pair", "The least WS-PSNR, dB, and the frame that has it.", "ws_psnr"),
-    ("Worst change of each pair", "The least PSNR of the change from the frame before, dB.", "change_psnr"),
-)
-"""Titles, what is said below them, scores."""
-
-PlacedValues = tuple[tuple[str, str, str, int], Mapping[str, float]]
-"""Values with their pair and their number there."""
 
 
 def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
@@ -172,13 +216,10 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
         mean_table(records),
         tour_table(records),
         *_score_tables(records),
-        *_kind_tables(records),
-        artefact_table(records),
-        *(_worst_table(records, *each) for each in WORST_TABLES),
-        depth_table(records, weighted=False),
-        depth_table(records, weighted=True),
-        _confidence_table(records),
-        _temporal_table(records),
+        *(method_table(records, means) for means in (*KIND_TABLES, ARTEFACTS)),
+        _worst_table(records, "frame", "WS-PSNR, dB, and the frame that has it", "ws_psnr"),
+        _worst_table(records, "change", "PSNR of the change from the frame before, dB", "change_psnr"),
+        *(method_table(records, means) for means in (*DEPTHS, CONFIDENCE, STEADINESS)),
         _seconds_table(records),
     ]
     return [table for table in tables if table.rows]
@@ -186,8 +227,7 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
 
 def mean_table(records: Sequence[UnitRecord]) -> Table:
     """Means of all scores per method, the best method first, and the reasons of those that measured nothing."""
-    note = "Mean over all frames between the panoramas; each is compared with the true one."
-    table = _method_table("Means per method", note, "Frames", records, "frame", FRAME_COLUMNS)
+    table = method_table(records, FRAMES)
     shown = {row.name for row in table.rows}
     absent = [Row(name, (), _reasons(records, name)) for name in grouping.ranked_methods(records) if name not in shown]
     return replace(table, rows=(*table.rows, *absent))
@@ -212,63 +252,22 @@ def _difference_cells(found: Mapping[str, Sequence[float]]) -> tuple[Cell, ...]:
     return tuple(map(Cell, (mean(every), error, min(every), max(every), len(every))))
 
 
-def depth_table(records: Sequence[UnitRecord], *, weighted: bool) -> Table:
-    """The paper's depth table per method, over all panoramas whose true depth is known."""
-    how, subject = ("weighted by solid angle", "depth-weighted") if weighted else ("every pixel counts alike", "depth")
-    note = f"On pixels with a true depth between 1 m and 50 m; {how}. Estimates beyond 100 m count as 100 m in metres."
-    return _method_table(f"Depth, {how}", note, "Panoramas", records, subject, DEPTH_COLUMNS)
-
-
-def _kind_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
-    """Where pictures are wrong. Nothing is marked: every method has kinds of its own."""
-    for title, note, figure, digits in KIND_TABLES:
-        columns = {kind: Column(name, 0, digits) for kind, name in KINDS.items()}
-        yield _method_table(title, f"{note} {KIND_NOTE}", "Frames", records, f"kind-{figure}", columns)
-
-
-def artefact_table(records: Sequence[UnitRecord]) -> Table:
-    """What neighbouring true frames and both photographs do not show."""
-    note = (
-        "Change: PSNR of the difference to the frame before, against that of the true frames. Flying pixels are more "
-        "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them. "
-        "Shards are edges that neither photograph has anywhere near; they need no true frame."
-    )
-    return _method_table("Changes, flying pixels and shards", note, "Frames", records, "frame", ARTEFACT_COLUMNS)
-
-
-def _worst_table(records: Sequence[UnitRecord], title: str, note: str, score: str) -> Table:
+def _worst_table(records: Sequence[UnitRecord], what: str, least: str, score: str) -> Table:
     """A row for each pair, a column for each method: the frame with the least of a score."""
     names = grouping.pair_names(records)
     worst = {
-        (names[record.pair], record.method): frame
+        (names[record.pair], record.method): Cell(frame.scores[score], name=frame.name)
         for record in grouping.finished(records)
         for frame in record.frames
         if frame.name == record.worst.get(score)
     }
     methods = [method for method in grouping.ranked_methods(records) if any(by == method for _, by in worst)]
-    rows = []
-    for name in dict.fromkeys(pair for pair, _ in worst):
-        shown = [worst.get((name, method)) for method in methods]
-        cells = (Cell(math.nan) if f is None else Cell(f.scores[score], name=f.name) for f in shown)
-        rows.append(Row(name, tuple(cells)))
-    return Table(title, note, "Pair", tuple(Column(method, 1) for method in methods), tuple(rows))
-
-
-def _confidence_table(records: Sequence[UnitRecord]) -> Table:
-    note = (
-        "On pixels with a true depth between 1 m and 50 m, weighted by solid angle. Unsure is where both directions of "
-        "matching did not agree. Doubt is 1 − confidence, error is relative (Spearman). Calibration error: how far "
-        "confidence is from the share of the values within 10 %, in bins of confidence, on average."
+    rows = tuple(
+        Row(name, tuple(worst.get((name, method), Cell(math.nan)) for method in methods))
+        for name in dict.fromkeys(pair for pair, _ in worst)
     )
-    return _method_table("What is known of errors of depth", note, "Panoramas", records, "doubt", CONFIDENCE_COLUMNS)
-
-
-def _temporal_table(records: Sequence[UnitRecord]) -> Table:
-    note = (
-        "Warping error: difference of a frame and the next one warped into it along the geometry. Flicker: second "
-        "difference in time of each point. At a panorama: root mean square difference from the panorama itself."
-    )
-    return _method_table("Steadiness", note, "Pairs", records, "temporal", TEMPORAL_COLUMNS)
+    columns = tuple(Column(method, 1) for method in methods)
+    return Table(f"Worst {what} of each pair", f"The least {least}.", "Pair", columns, rows)
 
 
 def _seconds_table(records: Sequence[UnitRecord]) -> Table:
@@ -280,7 +279,7 @@ def _seconds_table(records: Sequence[UnitRecord]) -> Table:
         if unit.seconds
     ]
     columns = {stage: Column(stage) for stage in zeros} | {"total": Column("Total", -1)}
-    return _method_table("Seconds per pair", "Mean wall time by stage.", "Pairs", timed, "seconds", columns)
+    return method_table(timed, Means("Seconds per pair", "Pairs", "seconds", columns, "Mean wall time by stage."))
 
 
 def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
@@ -298,37 +297,33 @@ def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
         yield _score_table(title, "Pairs", known, lambda unit, _: grouping.relative_baseline_bin(unit))
 
 
-def _method_table(
-    title: str, note: str, counted: str, records: Sequence[UnitRecord], subject: str, columns: Mapping[str, Column]
-) -> Table:
+def method_table(records: Sequence[UnitRecord], means: Means) -> Table:
     """One row for each method, best first; columns that nobody has are left out, the last one counts the values."""
-    found = {method: _placed_values(records, method, subject, columns) for method in grouping.ranked_methods(records)}
-    placed = {method: listed for method, listed in found.items() if listed}
-    every = [one for listed in placed.values() for one in listed]
-    present = [key for key in columns if any(key in values for _, values in every)]
+    placed: dict[str, dict[tuple[str, str, str, int], Mapping[str, float]]] = {}
+    for method in grouping.ranked_methods(records):
+        found = {
+            (*record.pair, number): figures
+            for record in grouping.finished(records, method)
+            for number, figures in enumerate(f for about, f in grouping.figures_of(record) if about[0] == means.subject)
+            if not means.columns.keys().isdisjoint(figures)
+        }
+        if found:
+            placed[method] = found
+    present = [key for key in means.columns if any(key in f for found in placed.values() for f in found.values())]
     marked = [
         _cells(
-            [{where: values[key] for where, values in listed if key in values} for listed in placed.values()],
-            [0 if grouping.is_oracle(method) else columns[key].better for method in placed],
+            [{where: figures[key] for where, figures in found.items() if key in figures} for found in placed.values()],
+            [0 if grouping.is_oracle(method) else means.columns[key].better for method in placed],
         )
         for key in present
     ]
-    counts = [Cell(len(listed)) for listed in placed.values()]
-    rows = zip(placed, zip(*marked, counts, strict=True), strict=True)
-    shown = (*(columns[key] for key in present), Column(counted, 0, 0))
-    return Table(
-        title, note, "Method", shown, tuple(Row(name, cells, "", grouping.is_oracle(name)) for name, cells in rows)
+    counts = [Cell(len(found)) for found in placed.values()]
+    rows = tuple(
+        Row(name, cells, "", grouping.is_oracle(name))
+        for name, cells in zip(placed, zip(*marked, counts, strict=True), strict=True)
     )
-
-
-def _placed_values(records: Sequence[UnitRecord], method: str, subject: str, keys: Iterable[str]) -> list[PlacedValues]:
-    """What a method measured of a subject, each with its pair and its number there, which are the same for all."""
-    return [
-        ((*record.pair, number), values)
-        for record in grouping.finished(records, method)
-        for number, values in enumerate(values for about, values in grouping.figures_of(record) if about[0] == subject)
-        if any(key in values for key in keys)
-    ]
+    shown = (*(means.columns[key] for key in present), Column(means.counted, 0, 0))
+    return Table(means.title, means.note, "Method", shown, rows)
 
 
 def _score_table(
@@ -338,28 +333,29 @@ def _score_table(
     """Mean WS-PSNR with a column for each method and a row for each ``group`` of frames, which has order and name."""
     methods = [method for method in grouping.ranked_methods(records) if any(grouping.frames_of(records, method))]
     better = [0 if grouping.is_oracle(method) else 1 for method in methods]
-    groups: defaultdict[tuple[float, str], list[tuple[str, tuple[str, ...], float]]] = defaultdict(list)
+    samples: defaultdict[tuple[float, str], dict[str, dict[tuple[str, ...], float]]]
+    samples = defaultdict(lambda: {method: {} for method in methods})
     for record in grouping.finished(records):
         for frame in record.frames:
             if "ws_psnr" in frame.scores:
-                which = (*record.pair, frame.name)
-                groups[group(record, frame)].append((record.method, which, frame.scores["ws_psnr"]))
-    rows = []
-    for (_, name), listed in sorted(groups.items(), key=lambda item: item[0][0]):
-        samples = [{which: score for by, which, score in listed if by == method} for method in methods]
-        rows.append(Row(name, _cells(samples, better)))
+                of_method = samples[group(record, frame)][record.method]
+                of_method[*record.pair, frame.name] = frame.scores["ws_psnr"]
+    rows = [
+        Row(name, _cells(list(of_methods.values()), better))
+        for (_, name), of_methods in sorted(samples.items(), key=lambda item: item[0][0])
+    ]
     return Table(title, "Mean WS-PSNR, dB.", corner, tuple(Column(method, 1) for method in methods), tuple(rows))
 
 
-def _cells(samples: Sequence[Sample], better: Sequence[int]) -> tuple[Cell, ...]:
+def _cells(samples: Sequence[grouping.Sample], better: Sequence[int]) -> tuple[Cell, ...]:
     """Means with their errors, the best of them marked; those of which neither more nor less is better take no part."""
     signed = [
         {where: sign * value for where, value in sample.items()} if sign and sample else None
         for sample, sign in zip(samples, better, strict=True)
     ]
     return tuple(
-        Cell(mean(sample.values()), len(sample), standard_error(sample), is_best)
-        for sample, is_best in zip(samples, undominated(signed), strict=True)
+        Cell(mean(sample.values()), len(sample), grouping.standard_error(sample), is_best)
+        for sample, is_best in zip(samples, grouping.undominated(signed), strict=True)
     )
 
 
@@ -380,55 +376,3 @@ def format_value(value: float, digits: int) -> str:
     if math.isnan(value):
         return "–"
     return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:.{digits}f}"
-
-
-MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
-"""Characters that mean something in Markdown, and are escaped."""
-
-
-def about_units(units: Sequence[UnitRecord]) -> dict[str, str]:
-    """What was measured and with what: scenes, pairs, frames and their sizes, the date and the version."""
-    measured = grouping.finished(units)
-    pairs = {unit.pair for unit in measured}
-    frames = {(*unit.pair, frame.name) for unit in measured for frame in unit.frames}
-    sizes = sorted({unit.size for unit in measured if unit.size is not None})
-    return {
-        "scenes": f"{len({scene for scene, *_ in pairs})}, with {len(pairs)} pairs and {len(frames)} frames",
-        "sizes": ", ".join(f"{width}x{height}" for height, width in sizes) or "none",
-        "date": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
-        "version": f"omnisyn {__version__}",
-    }
-
-
-def render_page(template: str, **values: Any) -> str:
-    """A page that needs nothing beside itself."""
-    return _environment(autoescape=True).get_template(template).render(values)
-
-
-def render_markdown(tables: Sequence[Table], gaps: Sequence[grouping.Gap], about: Mapping[str, str]) -> str:
-    """What it is about, all tables and what was not measured; the best figures are bold."""
-    template = _environment(finalize=_escaped).get_template("report.md.j2")
-    return template.render(tables=tables, gaps=gaps, about=about, error_note=ERROR_NOTE)
-
-
-def data_uri(data: bytes, kind: str) -> str:
-    """A picture file of a kind (``png``, ``jpeg``) as an address that holds all of it."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
-
-
-def _environment(**options: Any) -> Environment:
-    environment = Environment(  # noqa: S701 - Markdown is escaped by `finalize`
-        loader=PackageLoader("omnisyn_cli.evaluation"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        **options,
-    )
-    environment.filters.update(figure=format_cell, data_uri=data_uri)
-    return environment
-
-
-def _escaped(value: Any) -> str:
-    """Text that Markdown shows as it is, on one line."""
-    return MARKDOWN_SPECIAL.sub(r"\\\1", " ".join(str(value).split()))

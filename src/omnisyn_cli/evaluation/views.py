@@ -15,10 +15,6 @@ from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-IDENTITY_POSE = Pose.identity()
-"""Of frames that are compared in the panorama's own orientation."""
-
-
 HALF_WAY = "half way"
 """Name of the frame that is made where there are no true ones."""
 
@@ -92,10 +88,11 @@ def baseline_of(pair: Pair) -> float:
     return distance_between(pair.first.pose, pair.second.pose)
 
 
-def _share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
-    """The share of the way by distance, d₁/(d₁ + d₂), and metres to the nearer panorama; ½ where both are here."""
-    d1, d2 = (distance_between(end.pose, pose) for end in (pair.first, pair.second))
-    return (d1 / (d1 + d2) if d1 + d2 > 0 else 0.5), min(d1, d2)
+def at_size(
+    image: Float[np.ndarray, "rows cols 3"], size: tuple[int, int], threads: int | None
+) -> Float[np.ndarray, "height width 3"]:
+    """A panorama resampled to a size; the same if it has that."""
+    return image if image.shape[:2] == size else turned_panorama(image, Pose.identity(), size, threads)
 
 
 def load_pair(
@@ -121,10 +118,10 @@ def load_pair(
         if are_photographs:
             fixed = find_camera_fixed(true_view, views[0], still)[0]
             usable = comparable_pixels(size, true_view.mask, None if fixed is None else ~fixed)
-        t, distance = _share_of_way(pair, frame.pose)
-        if image.shape[:2] != size:
-            image = np.clip(turned_panorama(image, IDENTITY_POSE, size, threads), 0, 1)
-        truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image, usable))
+        d1, d2 = (distance_between(end.pose, frame.pose) for end in (pair.first, pair.second))
+        t = d1 / (d1 + d2) if d1 + d2 > 0 else 0.5
+        shown = np.clip(at_size(image, size, threads), 0, 1)
+        truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), min(d1, d2), shown, usable))
     before, after = (None if frame is None else _view(frame) for frame in (pair.before, pair.after))
     return LoadedPair(views, tuple(truths), size or (rows, 2 * rows), (before, after), still)
 

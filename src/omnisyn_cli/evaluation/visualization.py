@@ -1,22 +1,30 @@
-"""Errors and depth in colours, and the pictures of a report: frames, truths, errors and depth as JPEG files."""
+"""Errors and depth in colours, and the pictures of a report: frames, truths, errors and depth as JPEG files.
 
+The page of a report shows the worst frames of every method first, and depth beside the true depth: pictures are read
+from the folder of the report, made small and put into the page itself.
+"""
+
+import base64
 import hashlib
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from omnisyn_cli.evaluation.datasets import Pair
+from omnisyn_cli.evaluation.grouping import finished, pair_names, ranked_methods
 from omnisyn_cli.evaluation.measure import Measurement
-from omnisyn_cli.evaluation.metrics.image import check_same_size
-from omnisyn_cli.evaluation.results import DepthRecord, UnitRecord
-from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.evaluation.metrics.image import Masks, Picture, check_same_size
+from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.tables import format_value
+from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame
 from omnisyn_cli.io import write_image
-from omnisyn_cli.io.outputs import write_errors
+from omnisyn_cli.io.outputs import real_path, write_errors
 from omnisyn_cli.types import DepthEstimate
 
 ERROR_SCALE = 0.25
@@ -42,10 +50,26 @@ PICTURES_FOLDER = "pictures"
 MAX_NAME_CHARS = 80
 """Of a scene in a file name: file systems take 255 bytes for all of it."""
 
+FRAMES_PER_METHOD = 4
+"""The worst frames of each method that are shown."""
 
-def error_map(
-    image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]
-) -> UInt8[np.ndarray, "height width 3"]:
+MAX_PANORAMAS = 8
+"""The panoramas whose depth is shown."""
+
+THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
+"""Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder."""
+
+FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
+"""Of the pictures of a frame, by kind."""
+
+Pictures = dict[str, str]
+"""Pictures side by side: a caption -> the whole file as an address."""
+
+Sections = dict[str, dict[str, Pictures]]
+"""By method or panorama, then by a title, which may be empty."""
+
+
+def error_map(image: Picture, truth: Picture) -> UInt8[np.ndarray, "height width 3"]:
     """Mean difference of the channels in the Inferno colours: black 0, pale yellow :data:`ERROR_SCALE` or more.
 
     Both are RGB in [0, 1]; ValueError: they differ in size.
@@ -53,10 +77,7 @@ def error_map(
     return _coloured(_error_share(image, truth), cv2.COLORMAP_INFERNO)
 
 
-def kind_map(
-    image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"],
-    kinds: Mapping[str, Bool[np.ndarray, "height width"]],
-) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
+def kind_map(image: Picture, truth: Picture, kinds: Masks) -> UInt8[np.ndarray, "height width 3"]:
     """The error as of :func:`error_map`, as brightness of the colour of its kind of pixel, :data:`KIND_COLOURS`.
 
     ``kinds`` says where pixels of each kind are; those without a colour are not shown.
@@ -68,9 +89,7 @@ def kind_map(
     return np.asarray(np.rint(brightness[..., None] * colour), np.uint8)
 
 
-def _error_share(
-    image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]
-) -> Float[np.ndarray, "height width"]:
+def _error_share(image: Picture, truth: Picture) -> Float[np.ndarray, "height width"]:
     """Mean difference of the channels, 1 where it is :data:`ERROR_SCALE`."""
     check_same_size(image, truth)
     return np.asarray(np.abs(image.astype(np.float32) - truth).mean(axis=-1) / ERROR_SCALE)
@@ -115,22 +134,20 @@ class PictureWriter:
         self._report, self._method = report, _slug(method)
         self._pair = _slug("/".join((pair.scene, pair.first.name, pair.second.name)))
 
-    def frames(self, pair: LoadedPair, made: Measurement) -> list[dict[str, str]]:
-        """``frame``, ``truth``, ``error`` and, where all kinds are known, ``kinds``; without true frames ``frame``."""
-        if not pair.truths:
-            return [{"frame": self._write(self._method, pair.targets[0].name, made.images[0])}]
+    def frames(self, pair: LoadedPair, made: Measurement) -> tuple[FrameRecord, ...]:
+        """The records with ``frame`` and, of true frames, ``truth``, ``error`` and, where all are known, ``kinds``."""
         found = []
-        for truth, image, kinds in zip(pair.truths, made.images, made.kinds, strict=True):
-            pictures = {
-                "frame": self._write(self._method, truth.name, image),
-                "truth": self._write("truth", truth.name, truth.image),
-                "error": self._write(self._method, f"{truth.name}-error", error_map(image, truth.image)),
-            }
-            if KIND_COLOURS.keys() <= kinds.keys():
-                shown = kind_map(image, truth.image, kinds)
-                pictures["kinds"] = self._write(self._method, f"{truth.name}-kinds", shown)
-            found.append(pictures)
-        return found
+        for record, target, image, kinds in zip(made.frames, pair.targets, made.images, made.kinds, strict=True):
+            pictures = {"frame": self._write(self._method, target.name, image)}
+            if isinstance(target, TrueFrame):
+                pictures["truth"] = self._write("truth", target.name, target.image)
+                error = error_map(image, target.image)
+                pictures["error"] = self._write(self._method, f"{target.name}-error", error)
+                if KIND_COLOURS.keys() <= kinds.keys():
+                    shown = kind_map(image, target.image, kinds)
+                    pictures["kinds"] = self._write(self._method, f"{target.name}-kinds", shown)
+            found.append(replace(record, pictures=pictures))
+        return tuple(found)
 
     def depths(self, pair: LoadedPair, made: Measurement) -> tuple[DepthRecord, ...]:
         """The depth records of a measurement with the picture ``depth`` and, where it is known, ``truth``."""
@@ -172,3 +189,77 @@ def _slug(name: str) -> str:
     """A file name that every system takes; names that had to be changed get a hash, so that they stay different."""
     safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:MAX_NAME_CHARS]
     return safe if safe == name else f"{safe}-{hashlib.sha256(name.encode('utf-8', 'replace')).hexdigest()[:8]}"
+
+
+def frame_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
+    """For each method, the best one first, its worst frames: the true frame, the synthesised one and the error."""
+    names = pair_names(records)
+    sections: Sections = {}
+    for method in ranked_methods(records):
+        frames = ((record, f) for record in finished(records, method) for f in record.frames if f.pictures)
+        worst = sorted(frames, key=lambda item: item[1].scores.get("ws_psnr", math.inf))[:FRAMES_PER_METHOD]
+        for record, frame in worst:
+            if pictures := _pictures(folder, frame.pictures, FRAME_CAPTIONS):
+                sections.setdefault(method, {})[_frame_title(names[record.pair], frame)] = pictures
+    return sections
+
+
+def depth_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
+    """For each panorama the true depth and the depth of every method, the method with the best frames first."""
+    names, ranked = pair_names(records), ranked_methods(records)
+    found: dict[str, dict[str, DepthRecord]] = {}
+    for record in finished(records):
+        for depth in record.depths:
+            if depth.pictures:
+                found.setdefault(f"{names[record.pair]}, {depth.view}", {})[record.method] = depth
+    sections: Sections = {}
+    for panorama, depths in list(found.items())[:MAX_PANORAMAS]:
+        if pictures := _depth_pictures(folder, {method: depths[method] for method in ranked if method in depths}):
+            sections[panorama] = {"": pictures}
+    return sections
+
+
+def data_uri(data: bytes, kind: str) -> str:
+    """A picture file of a kind (``png``, ``jpeg``) as an address that holds all of it."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def embedded_picture(path: Path) -> str | None:
+    """A picture file as a data URI of a JPEG at most :data:`THUMBNAIL_WIDTH` pixels wide; None if it cannot be read."""
+    try:
+        samples = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError:
+        return None
+    image = cv2.imdecode(samples, cv2.IMREAD_COLOR) if samples.size else None
+    if image is None:
+        return None
+    height, width = image.shape[:2]
+    if width > THUMBNAIL_WIDTH:
+        size = (THUMBNAIL_WIDTH, max(1, round(height * THUMBNAIL_WIDTH / width)))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, THUMBNAIL_JPEG_QUALITY])
+    return data_uri(encoded.tobytes(), "jpeg")
+
+
+def _frame_title(pair: str, frame: FrameRecord) -> str:
+    shards = f"{frame.scores.get('shards', 0.0):.1%} shards"
+    score = f"{format_value(frame.scores['ws_psnr'], 2)} dB" if "ws_psnr" in frame.scores else shards
+    return f"{pair}, {frame.name}: {score} at t = {frame.t:.2f}, {frame.distance:.2f} m from the nearer panorama"
+
+
+def _depth_pictures(folder: Path, depths: Mapping[str, DepthRecord]) -> Pictures:
+    """The first true depth that can be read, then the estimate of every method."""
+    truths = (_pictures(folder, depth.pictures, {"truth": "true depth"}) for depth in depths.values())
+    shown = next(filter(None, truths), {})
+    for method, depth in depths.items():
+        error = depth.weighted.get("imae", math.nan)
+        caption = method if math.isnan(error) else f"{method}, IMAE {error:.4f} 1/m"
+        shown |= _pictures(folder, depth.pictures, {"depth": caption})
+    return shown
+
+
+def _pictures(folder: Path, files: Mapping[str, str], captions: Mapping[str, str]) -> Pictures:
+    """Those of the pictures with a caption that can be read; a name that leads out of the folder is ignored."""
+    paths = {caption: real_path(folder / files[key]) for key, caption in captions.items() if key in files}
+    inside = {caption: path for caption, path in paths.items() if path.is_relative_to(real_path(folder))}
+    return {caption: uri for caption, path in inside.items() if (uri := embedded_picture(path)) is not None}

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics import confidence_metrics, left_right_metrics, merged_reliability
-from omnisyn_cli.evaluation.metrics.confidence import rank_correlation
+from omnisyn_cli.evaluation.metrics.depth import (
+    confidence_metrics,
+    left_right_metrics,
+    merged_reliability,
+    rank_correlation,
+)
 from omnisyn_cli.geometry.sphere import row_weights
 
 SIZE = (16, 32)

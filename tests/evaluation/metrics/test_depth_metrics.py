@@ -6,7 +6,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics import depth_metrics, scored_pixels
+from omnisyn_cli.evaluation.metrics.depth import depth_metrics, scored_pixels
 
 HEIGHT = 8
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from omnisyn_cli.evaluation.metrics import end_psnr, lrce, psnr, ssim, ws_psnr, ws_ssim
+from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, ssim, ws_psnr, ws_ssim
 
 
 def pair(height: int = 24, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics import end_masks, end_psnr, kind_figures, ws_psnr
+from omnisyn_cli.evaluation.metrics.image import end_masks, end_psnr, kind_figures, ws_psnr
 from omnisyn_cli.geometry.sphere import row_weights
 
 SIZE = (24, 48)

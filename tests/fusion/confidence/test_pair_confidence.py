@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from confidence_samples import generated_views, judged
-from omnisyn_cli.evaluation.metrics.confidence import rank_correlation
+from omnisyn_cli.evaluation.metrics.depth import rank_correlation
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, assess_pair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles

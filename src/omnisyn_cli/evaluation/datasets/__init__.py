@@ -5,7 +5,14 @@ from functools import partial
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets.layouts import carla_scenes, habitat_scenes, own_scenes, zind_scenes
+from omnisyn_cli.evaluation.datasets.layouts import (
+    carla_scenes,
+    habitat_scenes,
+    own_scenes,
+    still_region_of,
+    tours_of_photographs,
+    zind_scenes,
+)
 from omnisyn_cli.evaluation.datasets.sources import (
     AROUND_PAIRS,
     NoScaleError,
@@ -16,7 +23,6 @@ from omnisyn_cli.evaluation.datasets.sources import (
     choose_pairs,
     in_tours,
 )
-from omnisyn_cli.evaluation.datasets.tours import still_region_of, tours_of_photographs
 
 __all__ = [
     "AROUND_PAIRS",

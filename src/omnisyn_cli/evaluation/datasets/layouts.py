@@ -9,6 +9,7 @@
   :mod:`omnisyn_cli.poses.formats.zind`. Every complete room with two or more panoramas is one scene, its panoramas in
   the order of their numbers. There is no depth; a floor without ``scale_meters_per_coordinate`` has no scale and cannot
   be used.
+* Tours of photographs, which are data sets when it is asked for: each photograph is the truth between its neighbours.
 * The CARLA data that the authors of OmniSyn published: ``Town*/run/{rgb,depth}/FRAME.png`` with ``gnss_data.json``,
   see :func:`carla_scenes`. Frames without both pictures are left out, as the authors do. Every run is one scene.
 
@@ -16,7 +17,8 @@ A single scene or tour is a data set of one.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Never
@@ -24,20 +26,34 @@ from typing import Never
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import PoseError
-from omnisyn_cli.evaluation.datasets.sources import NoScaleError, SceneFrame, SceneSource, scene_folders
+from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.evaluation.datasets.sources import (
+    NoScaleError,
+    PairChooser,
+    Scene,
+    SceneFrame,
+    SceneSource,
+    scene_folders,
+)
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.io import read_inverse_depth
+from omnisyn_cli.io import read_inverse_depth, read_panorama
 from omnisyn_cli.io.documents import ForeignModel, read_json, validated
 from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.io.placement import Reading
+from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
 from omnisyn_cli.poses.file import POSES_NAME, read_poses
 from omnisyn_cli.poses.formats.files import natural_key
 from omnisyn_cli.poses.formats.habitat import habitat_pose
 from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, Panorama, pose_on_floor, read_tour
+from omnisyn_cli.synthesis.still_outlines import PICTURE_SIZE, find_still_region, spread_out
+from omnisyn_cli.types import View
 
 HABITAT_POSITION = "*/tran.txt"
 """The file of a panorama's position in data sets rendered by Habitat."""
+
+PHOTOGRAPHS = "*.[jJ][pP]*[gG]"
+"""JPEG files, in the order of their names, are a tour where no pose file names its panoramas."""
 
 
 def own_scenes(folder: Path, *, allow_outside: bool = False) -> list[SceneSource]:
@@ -210,3 +226,53 @@ def read_face_depth(path: Path) -> Float[np.ndarray, "height width"]:
     along_axis = np.abs(pixel_directions(*inverse.shape)).max(axis=-1)
     is_known = inverse > 1.0 / (MAX_PNG_DEPTH - 5e-4)
     return np.where(is_known, inverse * along_axis, 0.0).astype(np.float32)
+
+
+def tours_of_photographs(
+    folder: Path, choose: PairChooser, threads: int | None = None, *, allow_outside: bool = False
+) -> list[SceneSource]:
+    """A scene for each pair that is chosen, with its photographs between; all of a folder, or of the folders in it.
+
+    Poses and masks are those of ``poses.json`` beside the photographs. Without one, poses are estimated for each scene
+    when it is read. Its unit of length is unknown then.
+
+    Args:
+        folder: of photographs, or of folders of them.
+        choose: pairs by the names or the order of the photographs.
+        threads: at most this many; None is one per core.
+        allow_outside: whether a ``poses.json`` may name masks outside of its folder.
+
+    InputError: there are none; a ``poses.json`` is damaged; or a pair that was chosen is not there.
+    """
+    scenes = []
+    places = {place: name for each in (POSES_NAME, PHOTOGRAPHS) for name, place in scene_folders(folder, each)}
+    for place, name in places.items():
+        is_posed = (place / POSES_NAME).is_file()
+        found = own_scenes(place, allow_outside=allow_outside)[0].frames() if is_posed else _in_order(place)
+        for pair in choose(Scene(name, tuple(found))):
+            frames = (pair.first, *pair.between, pair.second)
+            read = partial(tuple, frames) if is_posed else partial(_located, frames, threads)
+            scenes.append(SceneSource(f"{name}: {frames[0].image.stem} to {frames[-1].image.stem}", read))
+    if not scenes:
+        raise InputError(f"{folder}: expected three photographs (JPEG) of a tour or more, got fewer; check the folder")
+    return scenes
+
+
+def still_region_of(folder: Path) -> np.ndarray | None:
+    """What moves with the camera in all photographs of a folder, see :mod:`omnisyn_cli.synthesis.still_outlines`."""
+    paths, reading = sorted(folder.glob(PHOTOGRAPHS)), Reading(size=PICTURE_SIZE)
+    read = (read_panorama(paths[index], reading=reading) for index in spread_out(len(paths)))
+    return find_still_region(View(picture.image, Pose.identity(), picture.mask) for picture in read)
+
+
+def _in_order(folder: Path) -> Iterator[SceneFrame]:
+    """Photographs whose poses are not known yet."""
+    for path in sorted(folder.glob(PHOTOGRAPHS), key=lambda path: natural_key(path.name)):
+        yield SceneFrame(path.name, path, Pose.identity())
+
+
+def _located(frames: Sequence[SceneFrame], threads: int | None) -> Iterator[SceneFrame]:
+    """The frames with the poses that all of them together give."""
+    found = estimate_poses([frame.image for frame in frames], options=PictureOptions(threads=threads))
+    for frame in frames:
+        yield replace(frame, pose=found.panoramas[frame.name].pose)

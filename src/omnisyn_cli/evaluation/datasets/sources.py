@@ -1,7 +1,7 @@
 """A scene as the evaluation sees it, whatever layout it has on disk: posed panoramas in walking order; its pairs."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -141,12 +141,19 @@ def in_tours(pairs: Sequence[Pair]) -> list[Pair]:
 
 
 def _from_file(path: Path) -> PairChooser:
-    wanted = list(dict.fromkeys(_lines(path)))
+    wanted: dict[tuple[str, str, str], None] = {}
+    for number, line in enumerate(read_text(path, "a text file with pairs", error=InputError).splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if words and len(words) != 3:
+            raise InputError(
+                f"{path}: expected scene, first and second frame in line {number}, got {line!r}; correct it"
+            )
+        if words:
+            wanted[words[0], words[1], words[2]] = None
 
     def choose(scene: Scene) -> list[Pair]:
-        names = [frame.name for frame in scene.frames]
         return [
-            _pair(scene, _number(first, names, scene), _number(second, names, scene))
+            _pair(scene, _number(first, scene), _number(second, scene))
             for name, first, second in wanted
             if name == scene.name
         ]
@@ -154,19 +161,8 @@ def _from_file(path: Path) -> PairChooser:
     return choose
 
 
-def _lines(path: Path) -> Iterator[tuple[str, str, str]]:
-    text = read_text(path, "a text file with pairs", error=InputError)
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
-        if words and len(words) != 3:
-            raise InputError(
-                f"{path}: expected scene, first and second frame in line {number}, got {line!r}; correct it"
-            )
-        if words:
-            yield words[0], words[1], words[2]
-
-
-def _number(word: str, names: list[str], scene: Scene) -> int:
+def _number(word: str, scene: Scene) -> int:
+    names = [frame.name for frame in scene.frames]
     if word in names:
         return names.index(word)
     if word.isdecimal():

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.compute.jit import kernel
-from omnisyn_cli.evaluation.metrics.depth_errors import SCORED_DEPTH
+from omnisyn_cli.evaluation.metrics.depth import SCORED_DEPTH
 from omnisyn_cli.evaluation.metrics.image import Picture, check_same_size
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam, sample_nearest

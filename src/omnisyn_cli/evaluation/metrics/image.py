@@ -1,19 +1,21 @@
-"""How close two pictures are: signal-to-noise ratio, structural similarity and the seam, plain and on the sphere.
+"""How close two pictures are: signal-to-noise ratio, structural similarity and the seam; where they differ, by kind.
 
 Pictures are RGB in [0, 1], both of one size, and at least 11×11 pixels for structural similarity; ValueError for
 others. The names with ``ws_`` weight every pixel by its share of the sphere.
 """
 
 import math
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.geometry.sphere import mean_over_sphere
+from omnisyn_cli.geometry.sphere import mean_over_sphere, row_weights
 
 Picture = Float[np.ndarray, "height width 3"]
+Masks = Mapping[str, Bool[np.ndarray, "height width"]]
 
 PEAK = 1.0
 """The greatest value of an image."""
@@ -126,3 +128,36 @@ def _blurred(values: np.ndarray) -> np.ndarray:
     """Means under the Gaussian window wherever it fits."""
     reach = SSIM_WINDOW // 2
     return np.asarray(cv2.GaussianBlur(values, (SSIM_WINDOW, SSIM_WINDOW), SSIM_SIGMA))[reach:-reach, reach:-reach]
+
+
+def end_masks(size: tuple[int, int]) -> Masks:
+    """``top`` and ``bottom``: the eighth of the rows around either pole, one row at least."""
+    height, _ = size
+    top = np.broadcast_to(np.arange(height)[:, None] < max(1, height // 8), size)
+    return {"top": top, "bottom": top[::-1]}
+
+
+def kind_figures(image: Picture, truth: Picture, kinds: Masks) -> dict[str, dict[str, float]]:
+    """What is measured of every kind that there are pixels of: a figure -> a kind -> a number.
+
+    ``psnr`` is the peak signal-to-noise ratio in dB of the pixels of a kind, ``area`` their share of the sphere,
+    ``error`` their share of the squared error of the whole picture (0 where that has none). Pixels count by their
+    solid angle.
+
+    Args:
+        image: RGB in [0, 1].
+        truth: RGB in [0, 1], of the same size.
+        kinds: where pixels of each kind are; kinds may overlap.
+    """
+    squared = squared_error(image, truth).mean(axis=-1)
+    weights = np.broadcast_to(row_weights(len(truth))[:, None], squared.shape)
+    weights = weights / weights.sum()
+    squared = squared * weights
+    total = float(squared.sum())
+    area = {kind: float(weights[mask].sum()) for kind, mask in kinds.items() if mask.any()}
+    error = {kind: float(squared[kinds[kind]].sum()) for kind in area}
+    return {
+        "psnr": {kind: decibels(error[kind] / area[kind]) for kind in area},
+        "area": area,
+        "error": {kind: error[kind] / total if total > 0.0 else 0.0 for kind in area},
+    }

@@ -1,7 +1,5 @@
 """How close a frame is to a photograph that was left out of a tour: its light differs, and its camera stands in it."""
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -20,14 +18,6 @@ CAMERA_DEG = 40.0
 Usable = Bool[np.ndarray, "height width"]
 
 
-class Fit(NamedTuple):
-    """A frame as it is compared: its colours, and these after alignment; the degrees by which each pixel was moved."""
-
-    image: Float32[np.ndarray, "height width 3"]
-    aligned: Float32[np.ndarray, "height width 3"]
-    degrees: Float32[np.ndarray, "height width"]
-
-
 def photograph_scores(image: Picture, truth: Picture, usable: Usable) -> dict[str, float]:
     """Scores after a gain and an offset per channel, on the pixels of the photograph that may be compared.
 
@@ -35,12 +25,12 @@ def photograph_scores(image: Picture, truth: Picture, usable: Usable) -> dict[st
         ``ws_psnr``, ``ws_ssim`` (of pictures with 11 rows or more), both after alignment as ``aligned_psnr`` and
         ``aligned_ssim``, and ``misplacement``: the median length of that alignment in degrees.
     """
-    fit = fit_to_photograph(image, truth, usable)
+    lit, aligned, degrees = _fit_to_photograph(image, truth, usable)
     weights = solid_angles(*usable.shape)[usable]
-    order = np.argsort(fit.degrees[usable])
+    order = np.argsort(degrees[usable])
     half = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
-    scores = {"misplacement": float(fit.degrees[usable][order][half])}
-    for prefix, found in (("ws_", fit.image), ("aligned_", fit.aligned)):
+    scores = {"misplacement": float(degrees[usable][order][half])}
+    for prefix, found in (("ws_", lit), ("aligned_", aligned)):
         error = squared_error(found, truth)[usable].mean(axis=-1)
         scores[f"{prefix}psnr"] = decibels(float(np.average(error, weights=weights)))
         if len(truth) >= SSIM_WINDOW:
@@ -49,10 +39,12 @@ def photograph_scores(image: Picture, truth: Picture, usable: Usable) -> dict[st
     return scores
 
 
-def fit_to_photograph(image: Picture, truth: Picture, usable: Usable) -> Fit:
-    """The frame in the light of the photograph, and aligned with it by optical flow of at most :data:`MAX_FLOW_DEG`.
+def _fit_to_photograph(
+    image: Picture, truth: Picture, usable: Usable
+) -> tuple[Picture, Picture, Float32[np.ndarray, "height width"]]:
+    """The frame in the light of the photograph; the same aligned by optical flow, and the degrees that this moves it.
 
-    Where nothing may be compared the photograph itself is shown.
+    It moves by at most :data:`MAX_FLOW_DEG`. Where nothing may be compared the photograph itself is shown.
     """
     weights = solid_angles(*usable.shape)[usable]
     lit = np.array(truth, np.float32)
@@ -67,7 +59,7 @@ def fit_to_photograph(image: Picture, truth: Picture, usable: Usable) -> Fit:
     degrees = np.hypot(flow[..., 0], flow[..., 1] * row_weights(height)[:, None]) * (180.0 / height)
     bounded = flow * np.minimum(1.0, MAX_FLOW_DEG / np.maximum(degrees, 1e-6))[..., None]
     aligned = np.where(usable[..., None], np.clip(moved(lit, bounded.astype(np.float32)), 0.0, 1.0), lit)
-    return Fit(lit, aligned.astype(np.float32), np.minimum(degrees, MAX_FLOW_DEG).astype(np.float32))
+    return lit, aligned.astype(np.float32), np.minimum(degrees, MAX_FLOW_DEG).astype(np.float32)
 
 
 def comparable_pixels(size: tuple[int, int], *masks: Usable | None) -> Usable:
