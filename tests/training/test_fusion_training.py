@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from torch.nn import functional
-from walk_samples import make_walks
+from training_samples import make_walks
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.metrics import ws_psnr
@@ -22,19 +22,20 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.data import WINDOW_DIVISOR, load_samples, save_samples, window_columns
+from omnisyn_cli.training.data import load_samples, load_walk, save_samples
 from omnisyn_cli.training.fusion_losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
 from omnisyn_cli.training.fusion_scenes import (
+    WINDOW_DIVISOR,
     FusionSample,
     FusionSceneConfig,
     draw_fusion,
     load_fusion,
     make_fusion_scene,
     swap_views,
+    window_columns,
 )
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.walks import load_walk
 from omnisyn_cli.types import Layer
 
 TINY = FusionConfig("tiny", channels=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)

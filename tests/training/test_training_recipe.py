@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from click.testing import CliRunner
-from walk_samples import write_walk
+from training_samples import ball_walk
 
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
@@ -28,8 +28,7 @@ PLAN = Recipe(
 def _small(monkeypatch):
     """Small networks, and walks within a ball."""
     monkeypatch.setitem(TASKS["guided"].variants, "small", SMALL)
-    monkeypatch.setattr(recipe_run, "make_walk", lambda seed, _: seed)
-    monkeypatch.setattr(recipe_run, "save_walk", write_walk)
+    monkeypatch.setattr(recipe_run, "make_walk", lambda seed, _: ball_walk(seed))
 
 
 def same(one, other):

@@ -50,10 +50,12 @@ WORKERS = click.option(
 @TEXTURES
 def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> None:
     """Render generated scenes into FOLDER; existing ones stay."""
-    from omnisyn_cli.training.line_scenes import LineSceneConfig, render_line_scene
+    from omnisyn_cli.training.scene_makers import SceneConfig
+    from omnisyn_cli.training.walks import WalkConfig, make_walk_file
 
-    chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
-    _fill(render_line_scene, LineSceneConfig(size=(height, 2 * height), views=views, **chosen), **options)
+    kinds = kinds or SceneConfig.kinds
+    config = WalkConfig((height, 2 * height), kinds, SceneConfig.pose_error_share, views=views)
+    _fill(make_walk_file, config, **options)
 
 
 @click.command()
@@ -79,13 +81,13 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
     from omnisyn_cli.evaluation.views import load_pair
-    from omnisyn_cli.training.line_scenes import add_views, pair_path
-    from omnisyn_cli.training.walks import list_walks, load_walk, walk_views
+    from omnisyn_cli.training.data import list_walks, load_walk, save_samples, walk_views
+    from omnisyn_cli.training.scene_makers import pair_path, walk_of_views
 
     if walks := list_walks(dataset):
         for walk in walks:
             if not (path := folder / walk.name).exists():
-                add_views(path, walk_views(load_walk(walk)), (height, 2 * height))
+                save_samples(path, [walk_of_views(walk_views(load_walk(walk)), (height, 2 * height))])
                 say(path)
         return
     choose = choose_pairs(pairs)
@@ -100,7 +102,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
             if path.exists():
                 continue
             try:
-                add_views(path, load_pair(pair).views, (height, 2 * height))
+                save_samples(path, [walk_of_views(load_pair(pair).views, (height, 2 * height))])
             except InputError as error:
                 say(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
             else:
@@ -114,7 +116,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 def matched_scenes(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
     from omnisyn_cli.training.completion import make_feature_scene
-    from omnisyn_cli.training.line_scenes import TiltedConfig
+    from omnisyn_cli.training.scene_makers import TiltedConfig
 
     _check_pool_height(height)
     _fill(make_feature_scene, TiltedConfig(size=(height, 2 * height)), **options)
@@ -138,8 +140,8 @@ def matched_scenes(height: int, **options: Any) -> None:
 @TEXTURES
 def fusion_pool(height: int, preset: str, walks: Path | None, **options: Any) -> None:
     """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
+    from omnisyn_cli.training.data import list_walks
     from omnisyn_cli.training.fusion_scenes import FusionSceneConfig, make_fusion_scene
-    from omnisyn_cli.training.walks import list_walks
 
     _check_pool_height(height)
     files = list_walks(walks) if walks else []
@@ -164,7 +166,7 @@ def _fill(
     from functools import partial
 
     from omnisyn_cli.io import list_photographs
-    from omnisyn_cli.training.line_scenes import make_scene_files
+    from omnisyn_cli.training.scene_makers import make_scene_files
 
     if textures is not None:
         list_photographs(textures)  # there are some

@@ -17,14 +17,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float
+from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.pose import Pose, distance_between
+from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
-from omnisyn_cli.training.data import Augmentation, FeatureBatch, load_samples, save_samples, stack_fields, vary_colours
-from omnisyn_cli.training.line_scenes import PATH_STOPS, TiltedConfig, scene_path, take_photograph
+from omnisyn_cli.training.data import Augmentation, load_samples, save_samples, stack_fields, vary_colours
+from omnisyn_cli.training.scene_makers import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
 ORDERED_PAIRS = 4
@@ -38,9 +39,29 @@ COLOUR_CHANNELS = (0, 8, 11)
 class FeatureSample:
     """One panorama of a matched pair: network inputs, true √(inverse depth × baseline), metres."""
 
-    channels: Float32[np.ndarray, "channels height width"]
-    sqrt_inv_depth: Float32[np.ndarray, "height width"]
+    channels: Float[np.ndarray, "channels height width"]
+    sqrt_inv_depth: Float[np.ndarray, "height width"]
     baseline: float
+
+
+@dataclass(frozen=True)
+class FeatureBatch:
+    """Stereo features of panoramas and the truth.
+
+    Attributes:
+        channels: see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
+        sqrt_inv_depth: true √(inverse depth × baseline); NaN where it is not known.
+        baseline: metres.
+    """
+
+    channels: Float[Tensor, "batch channels height width"]
+    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
+    baseline: Float[Tensor, " batch"]
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What a network sees."""
+        return (self.channels,)
 
 
 def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
@@ -51,13 +72,13 @@ def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | 
     scene, path = found
     rng = np.random.default_rng([21, seed])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
-    height, width = config.size
+    size = (2 * config.size[0], 2 * config.size[1])  # features have half
     shown = [
-        take_photograph(scene, path[stop].position, tilt, error, rng, (2 * height, 2 * width), config.size)
+        take_photograph(scene, path[stop].position, tilt, error, rng, size, config.size, supersample=2)
         for stop in (0, int(rng.integers(2, PATH_STOPS - 2)), PATH_STOPS - 1)
     ]
     inner = ((0, 1), (1, 2))[int(rng.integers(2))]
-    estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # features have half
+    estimator = MatchingDepthEstimator(MatchingOptions(size=size), threads=1)
     pairs = [pair for i, j in ((0, 2), inner) for pair in _match_pair(shown[i], shown[j], estimator, rng)]
     file = scene_path(folder, seed)
     save_samples(file, pairs)
@@ -65,20 +86,17 @@ def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | 
 
 
 def _match_pair(
-    one: tuple[np.ndarray, np.ndarray, Pose],
-    other: tuple[np.ndarray, np.ndarray, Pose],
-    estimator: MatchingDepthEstimator,
-    rng: np.random.Generator,
+    one: View, other: View, estimator: MatchingDepthEstimator, rng: np.random.Generator
 ) -> list[FeatureSample]:
     """Both panoramas of a pair, photographed with different cameras."""
-    colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
-    first, second = estimator.features(View(colours[0], one[2]), View(colours[1], other[2]))
-    baseline = distance_between(other[2], one[2])
-    sqrt_depths = [sqrt_inv_depth(x[1] * baseline) for x in (one, other)]
-    return [
-        FeatureSample(completion_channels(first, second), sqrt_depths[0], baseline),
-        FeatureSample(completion_channels(second, first), sqrt_depths[1], baseline),
-    ]
+    colours = vary_colours(np.stack([one.image, other.image]), rng, Augmentation())
+    first, second = estimator.features(View(colours[0], one.pose), View(colours[1], other.pose))
+    baseline, samples = distance_between(other.pose, one.pose), []
+    for view, channels in ((one, completion_channels(first, second)), (other, completion_channels(second, first))):
+        if view.known_depth is not None:
+            truth = sqrt_inv_depth(view.known_depth.inverse_depth * baseline)
+            samples.append(FeatureSample(channels.astype(np.float16), truth.astype(np.float16), baseline))
+    return samples
 
 
 def draw_completion(

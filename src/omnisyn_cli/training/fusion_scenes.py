@@ -28,7 +28,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Shaped
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
@@ -36,21 +36,20 @@ from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion import warp_candidates as warp
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import WarpCandidates
-from omnisyn_cli.geometry.pose import Pose, interpolate_pose
-from omnisyn_cli.geometry.sphere import mean_over_sphere
+from omnisyn_cli.geometry.pose import interpolate_pose
+from omnisyn_cli.geometry.sphere import direction_tables, mean_over_sphere
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.scenes import Scene, render_panorama
+from omnisyn_cli.scenes import render_panorama
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.training.data import load_samples, save_samples, stack_fields, window_columns
-from omnisyn_cli.training.line_scenes import TiltedConfig, noisy_pose, random_rotation, scene_path
-from omnisyn_cli.training.walks import load_walk, walk_views
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
+from omnisyn_cli.training.data import load_samples, load_walk, save_samples, stack_fields, walk_views
+from omnisyn_cli.training.scene_makers import TiltedConfig, noisy_pose, scene_path, take_photograph
+from omnisyn_cli.types import DepthEstimator, Layer, View
 
 RENDER_SCALE, PICTURE_SCALE = 4, 2
 """Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
@@ -82,6 +81,12 @@ DIFFERENCE_CHANNELS = (
     warp.CANDIDATE_DIFFERENCE + 1,
 )
 """Channels that are differences of colours."""
+
+WINDOW_DIVISOR = 4
+"""Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter."""
+
+MIN_RELEVANCE = 1e-3
+"""Relevance of a column without any, so that windows are drawn there as well, now and then."""
 
 MIN_HYPOTHESIS_GAP, HYPOTHESIS_RELEVANCE = 0.05, 0.3
 """Difference of √(inverse depth × baseline) between depth hypotheses that matters, and its relevance beside that of a
@@ -127,9 +132,9 @@ class FusionSceneConfig(TiltedConfig):
 class FusionSample:
     """One position, or some of its columns: network inputs, fused picture with candidates, truth, squared error."""
 
-    channels: Float32[np.ndarray, "channels height width"]
-    pictures: Float32[np.ndarray, "15 rows cols"]
-    truth: Float32[np.ndarray, "3 rows cols"]
+    channels: Float[np.ndarray, "channels height width"]
+    pictures: Float[np.ndarray, "15 rows cols"]
+    truth: Float[np.ndarray, "3 rows cols"]
     fused_error: Float32[np.ndarray, ""]
 
 
@@ -233,7 +238,9 @@ def _pair_of_scene(seed: int, rng: np.random.Generator, config: FusionSceneConfi
         return None
     scene, (first, second) = found
     tilt, error, size = float(rng.choice(config.tilts)), config.pose_error(rng), config.photograph_size
-    ends = [_photograph(scene, end.position, tilt, error, size, rng) for end in (first, second)]
+    ends = [
+        take_photograph(scene, end.position, tilt, error, rng, size, size, supersample=1) for end in (first, second)
+    ]
     shares = np.sort(rng.uniform(*config.position_range, config.views_between))
     path = [Waypoint(0, share, interpolate_pose(ends[0].pose, ends[1].pose, share)) for share in shares]
     return _TruePair(ends, path, lambda k: render_panorama(scene, path[k].pose, size, supersample=1, threads=1)[0])
@@ -280,7 +287,8 @@ def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) 
         if seen := fuser.seen():
             truth = downsample_channels_first(pair.truth(k), stored_size)
             for channels, pictures in seen:
-                yield FusionSample(channels, pictures, truth, _squared_error(pictures[:3], truth))
+                shown, error = (channels, pictures, truth), _squared_error(pictures[:3], truth)
+                yield FusionSample(*(x.astype(np.float16) for x in shown), fused_error=error)
 
 
 def _squared_error(
@@ -288,16 +296,6 @@ def _squared_error(
 ) -> Float32[np.ndarray, ""]:
     """Mean over the sphere."""
     return np.asarray(mean_over_sphere(np.square(picture - truth).transpose(1, 2, 0)), np.float32)
-
-
-def _photograph(
-    scene: Scene, position: np.ndarray, tilt: float, error: float, size: tuple[int, int], rng: np.random.Generator
-) -> View:
-    """A panorama with the pose that it is said to have, and its true depth."""
-    pose = Pose(random_rotation(rng, tilt), position)
-    image, depth = render_panorama(scene, pose, size, supersample=1, threads=1)
-    known = DepthEstimate((1.0 / depth).astype(np.float32), np.ones(size, np.float32))
-    return View(np.asarray(image, np.float32), noisy_pose(pose, error, rng), known_depth=known)
 
 
 def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:
@@ -354,6 +352,16 @@ def _window(sample: FusionSample, rng: np.random.Generator) -> tuple[np.ndarray,
         for x, some in ((sample.channels, columns), (sample.pictures, fine), (sample.truth, fine))
     )
     return channels, pictures, truth
+
+
+def window_columns(relevance: Shaped[np.ndarray, "height width"], rng: np.random.Generator) -> np.ndarray:
+    """A quarter of the columns side by side, across the seam or not, where there is much of what matters."""
+    height, width = relevance.shape
+    columns = direction_tables(height, width)[0] @ relevance + MIN_RELEVANCE
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
+    inside = sums[width // WINDOW_DIVISOR :][:width] - sums[:width]
+    begin = int(rng.choice(width, p=inside / inside.sum()))
+    return np.asarray((begin + np.arange(width // WINDOW_DIVISOR)) % width)
 
 
 def swap_views(channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "channels height width"]:

@@ -15,15 +15,15 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
-from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres, reduced, vary_colours
+from omnisyn_cli.training.data import Augmentation, Walk, as_tensor, at_block_centres, draw_walk, reduced, vary_colours
+from omnisyn_cli.training.losses import polar_weights
 from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
-from omnisyn_cli.training.walks import Walk, baseline_ratios, load_walk
+from omnisyn_cli.training.walks import baseline_ratios
 
 MAX_BASELINE_RATIO = 2.5
 """Baselines over median depth above this are not drawn."""
@@ -118,9 +118,7 @@ def draw_guided(
     Raises:
         InputError: the pool's size is not a multiple of ``size``.
     """
-    drawn = [
-        _draw_pair(load_walk(pool[rng.integers(len(pool))]), rng, size, augmentation, guided) for _ in range(pairs)
-    ]
+    drawn = [_draw_pair(draw_walk(pool, rng, size[0]), rng, size, augmentation, guided) for _ in range(pairs)]
     colours = np.stack([pair.colours for pair in drawn])
     sqrt_inv_depth = np.sqrt(np.stack([pair.inverse_depth for pair in drawn])).clip(max=max_sqrt_inv_depth)
     return GuidedBatch(
@@ -131,16 +129,13 @@ def draw_guided(
         unmatched=torch.from_numpy(np.stack([pair.unmatched for pair in drawn])).unsqueeze(1),
         sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
         ratio=torch.tensor([pair.ratio for pair in drawn]),
-        is_mesh=torch.tensor([pair.is_mesh for pair in drawn]),
+        is_mesh=torch.tensor([bool(pair.is_mesh) for pair in drawn]),
     )
 
 
 def _draw_pair(
     walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None, guided: float
 ) -> _Pair:
-    rows = walk.images.shape[1]
-    if rows % size[0]:
-        raise InputError(f"expected walks of a multiple of {size[0]} rows, got {rows}; make others")
     is_guided = len(walk.pairs) > 0 and rng.random() < guided
     first, second, ratio = _choose(walk, rng, is_guided)
     images, inverse_depth = walk.images[[first, second]], walk.inverse_depth[[first]]
@@ -268,12 +263,6 @@ def _gradient_error(error: Tensor, known: Tensor) -> Tensor:
         total = total + _weighted_mean(across, k * k.roll(-1, -1) * weight)
         total = total + _weighted_mean(down, k[..., 1:, :] * k[..., :-1, :] * weight[1:])
     return total / GRADIENT_SCALES
-
-
-def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
-    """Sine of the polar angle of every row, divided by its mean."""
-    weights = row_weights(like.shape[-2])
-    return torch.as_tensor(weights / weights.mean(), dtype=torch.float32, device=like.device)[:, None]
 
 
 @torch.no_grad()

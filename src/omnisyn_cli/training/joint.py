@@ -36,8 +36,8 @@ from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, network_inputs
 from omnisyn_cli.training.losses import depth_scores, paper_loss
+from omnisyn_cli.training.pairs import Triples, swap_cameras
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
-from omnisyn_cli.training.triples import Triples, swap_cameras
 
 FUSION_WEIGHT = 1.0
 """Weight of the picture's loss beside that of the depth: both count the same."""

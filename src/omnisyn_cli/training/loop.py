@@ -257,7 +257,7 @@ def train(
             report(row)
             if trainer.surpasses(trainer.scores.get(HELD_OUT_LOSS, math.nan)):
                 save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
-            losses, pool = [], list_scene_files(Path(config.pool), *trainer.task.pools)
+            losses, pool = [], list_scene_files(Path(config.pool), trainer.task.pool)
         if trainer.step % config.save_every == 0 or out_of_time:
             save_checkpoint(path, trainer.state())
         if out_of_time:
@@ -269,9 +269,9 @@ def train(
 def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
     """The scenes to learn from; those to be judged by are found wrong now, not after hundreds of steps."""
     pool, judged = (
-        list_scene_files(Path(folder), *trainer.task.pools) for folder in (config.pool, config.validation_pool)
+        list_scene_files(Path(folder), trainer.task.pool) for folder in (config.pool, config.validation_pool)
     )
-    if trainer.task.pools == ("fusion-pool",):
+    if trainer.task.pool == "fusion-pool":
         multiple = trainer.network.config.size_multiple
         check_height(pool, 2 * multiple)  # a window half as wide is seen
         check_height(judged, multiple)

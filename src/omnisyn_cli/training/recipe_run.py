@@ -25,14 +25,14 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder, write_errors
 from omnisyn_cli.training.checkpoint import compact, of_this_version, save_checkpoint
-from omnisyn_cli.training.data import Augmentation
+from omnisyn_cli.training.data import Augmentation, save_samples
 from omnisyn_cli.training.exported import load_state
 from omnisyn_cli.training.loop import BEST_CHECKPOINT, CHECKPOINT, PROCESSOR, Trainer
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.recipe import EARLY_STEPS, KIND, Recipe
 from omnisyn_cli.training.task import TrainConfig
 from omnisyn_cli.training.tasks import TASKS
-from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk, save_walk
+from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk
 
 SCENE_FOLDER, VALIDATION_FOLDER = "walks", "validation-walks"
 """Folders of scenes in the folder of a run."""
@@ -245,14 +245,14 @@ def train_recipe(
         TrainingError: the run has collapsed.
     """
     size, photos = (recipe.height, 2 * recipe.height), None if textures is None else str(textures)
-    walks = WalkConfig(size, recipe.views, recipe.kinds, textures=photos, meshes=meshes)
+    walks = WalkConfig(size, recipe.kinds, textures=photos, views=recipe.views, meshes=meshes)
     judged_kinds = tuple(kind for kind in VALIDATION_KINDS if kind != MESH or MESH in recipe.kinds)
     judged = replace(walks, kinds=judged_kinds, is_held_out=True)
     walks.check()
     judged.check()
     make_folder(folder, "a network that is trained")
     _make_validation_walks(folder / VALIDATION_FOLDER, recipe.validation_walks, judged)
-    trainer = RecipeTrainer(recipe, folder, lambda path, seed: save_walk(path, make_walk(seed, walks)), precision)
+    trainer = RecipeTrainer(recipe, folder, lambda path, seed: save_samples(path, [make_walk(seed, walks)]), precision)
     _begin(trainer, folder, encoder, begin_with)
     on_start(trainer)
     _run(trainer, folder, minutes, report)
@@ -264,7 +264,7 @@ def _make_validation_walks(folder: Path, count: int, config: WalkConfig) -> None
     for number in range(count):
         path = folder / f"{number:08d}.npz"
         if not path.exists():
-            save_walk(path, make_walk(VALIDATION_SEED + number, config))
+            save_samples(path, [make_walk(VALIDATION_SEED + number, config)])
 
 
 def _begin(trainer: RecipeTrainer, folder: Path, encoder: Mapping[str, Tensor] | None, begin_with: Path | None) -> None:

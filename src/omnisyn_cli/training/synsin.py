@@ -1,6 +1,6 @@
 """How SynSin is taught and judged: pictures made of points, compared with the truth; depth in metres beside it.
 
-It learns from samples of pools of scenes (:mod:`omnisyn_cli.training.data`), turned upright, looking anywhere.
+It learns from samples of walks (:class:`omnisyn_cli.training.data.Walk`), looking anywhere.
 
 The depth network learns from the true inverse depth as well as from the error of the picture. From pictures alone it
 would find a depth that suits them, in an unknown unit.
@@ -21,12 +21,9 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
-from omnisyn_cli.training.data import TrainingScene, load_scene
+from omnisyn_cli.training.data import Walk, draw_walk, load_walk
 from omnisyn_cli.training.losses import depth_scores, polar_weights, sqrt_inv_depth_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures
-
-MIN_HORIZONTAL_LENGTH = 1e-3
-"""Horizontal length of the unit vector along the path below which it has no heading."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +47,9 @@ def draw_views(pool: list[Path], rng: np.random.Generator, count: int, size: tup
     """Samples of random scenes with one panorama and with two, in turn; turned, mirrored and tinted at random."""
     drawn = []
     for index in range(count):
-        scene = load_scene(pool[rng.integers(len(pool))])
-        target, sources = _chosen(len(scene.along), 1 + index % 2, rng)
-        sample = view_sample(scene, target, sources, size, heading=rng.uniform(-np.pi, np.pi))
+        walk = draw_walk(pool, rng)
+        target, sources = _chosen(len(walk.positions), 1 + index % 2, rng)
+        sample = view_sample(walk, target, sources, size, heading=rng.uniform(-np.pi, np.pi))
         drawn.append(_varied(sample, rng))
     return drawn
 
@@ -67,43 +64,33 @@ def _chosen(views: int, wanted: int, rng: np.random.Generator) -> tuple[int, tup
 
 
 def view_sample(
-    scene: TrainingScene, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
+    walk: Walk, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
 ) -> ViewSample:
-    """A sample of a scene.
+    """A sample of a walk.
 
     Args:
-        scene: views along a line.
+        walk: the views.
         target: index of the view that is to be made.
         sources: those of the views that it is made of.
         size: height and width of all pictures.
-        heading: that all panoramas are turned by, radians; at 0 they look along the line.
+        heading: that all panoramas are turned by, radians; at 0 they stay as they are.
     """
-    held = _upright(scene.up.astype(np.float64)) @ rotation_from_heading(heading)
-    own = np.eye(3)
+    own, held = np.eye(3), rotation_from_heading(heading)
 
     def colours(view: int) -> np.ndarray:
-        shown = rotated_image(scene.images[view].astype(np.float32) / np.float32(255.0), own, held, size)
+        shown = rotated_image(walk.images[view].astype(np.float32) / np.float32(255.0), own, held, size)
         return np.ascontiguousarray(shown.transpose(2, 0, 1), np.float32)
 
     directions = rotated_directions(size, own, held)
-    sqrt_inv_depths = [np.sqrt(sample_nearest(scene.inverse_depth[view], directions))[None] for view in sources]
-    along = scene.along.astype(np.float64)
-    moved = [held.T @ np.array([0.0, along[view] - along[target], 0.0]) for view in sources]
+    sqrt_inv_depths = [np.sqrt(sample_nearest(walk.inverse_depth[view], directions))[None] for view in sources]
+    positions = walk.positions.astype(np.float64)
+    moved = [held.T @ (positions[view] - positions[target]) for view in sources]
     return ViewSample(
         images=torch.from_numpy(np.stack([colours(view) for view in sources])),
         sqrt_inv_depths=torch.from_numpy(np.stack(sqrt_inv_depths).astype(np.float32)),
         target_from_sources=tuple(Pose(np.eye(3), offset) for offset in moved),
         truth=torch.from_numpy(colours(target)),
     )
-
-
-def _upright(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Pool from upright: the frame in which ``up`` is up and the line, if it leads anywhere, straight ahead."""
-    ahead = np.array([0.0, 1.0, 0.0]) - up[1] * up
-    if np.linalg.norm(ahead) < MIN_HORIZONTAL_LENGTH:
-        ahead = np.cross(up, np.array([1.0, 0.0, 0.0]))
-    ahead = ahead / np.linalg.norm(ahead)
-    return np.stack([np.cross(ahead, up), up, -ahead], axis=-1)
 
 
 def _varied(sample: ViewSample, rng: np.random.Generator) -> ViewSample:
@@ -186,10 +173,10 @@ def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height wid
 
 def load_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:
     """The middle of a scene from its first view, and from its first and last; the last of two from the first, twice."""
-    scene = load_scene(path)
-    middle, last = len(scene.along) // 2, len(scene.along) - 1
+    walk = load_walk(path)
+    middle, last = len(walk.positions) // 2, len(walk.positions) - 1
     both = (0, last) if last > middle else (0,)
-    return [view_sample(scene, middle, sources, size) for sources in ((0,), both)]
+    return [view_sample(walk, middle, sources, size) for sources in ((0,), both)]
 
 
 def synsin_scores(made: SynSinPrediction, samples: Sequence[ViewSample]) -> dict[str, float]:

@@ -78,7 +78,7 @@ class Task:
         held_out: a batch to be judged by, of a scene's file, the number of times that it was looked at before, and the
             stage; None draws it without varying colours.
         is_repeated: whether held-out scenes are looked at again if there are fewer than asked for.
-        pools: commands that make what it learns from, see :func:`omnisyn_cli.training.data.list_scene_files`.
+        pool: command that makes what it learns from, see :func:`omnisyn_cli.training.data.list_scene_files`.
         role: what it is for; None where that is the kind itself.
     """
 
@@ -93,7 +93,7 @@ class Task:
     pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None
     held_out: Callable[[Path, int, TrainConfig], Any] | None = None
     is_repeated: bool = True
-    pools: tuple[str, ...] = ("pool",)
+    pool: str = "pool"
     role: str | None = None
 
     def answer_of(self, network: Any, batch: Any) -> Any:
@@ -102,7 +102,7 @@ class Task:
 
     def validation(self, network: Any, stage: TrainConfig) -> Iterator[Any]:
         """What networks are judged by: always the same, where the weights are."""
-        pool = list_scene_files(Path(stage.validation_pool), *self.pools)
+        pool = list_scene_files(Path(stage.validation_pool), self.pool)
         pairs = stage.validation_pairs if self.is_repeated else min(stage.validation_pairs, len(pool))
         for index in range(pairs):
             path = pool[index % len(pool)]

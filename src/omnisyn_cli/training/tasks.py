@@ -26,14 +26,13 @@ from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
-from omnisyn_cli.training.completion import draw_completion
-from omnisyn_cli.training.data import Batch, FeatureBatch
+from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.fusion_scenes import draw_fusion, load_fusion
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
+from omnisyn_cli.training.pairs import Batch, draw_pairs, draw_triples
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
 from omnisyn_cli.training.task import Task
-from omnisyn_cli.training.triples import draw_pairs, draw_triples
 
 NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
@@ -88,7 +87,6 @@ TASKS: Mapping[str, Task] = {
         loss=guided_loss,
         scores=guided_scores,
         pictures=_guided_pictures,
-        pools=("recipe",),
         role="guided-depth",
     ),
     "completion": Task(
@@ -101,7 +99,7 @@ TASKS: Mapping[str, Task] = {
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
         scores=_completion_scores,
         pictures=_completion_pictures,
-        pools=("evidence",),
+        pool="evidence",
     ),
     "fusion": Task(
         FusionConfig,
@@ -115,7 +113,7 @@ TASKS: Mapping[str, Task] = {
             answer, batch.channels, batch.truth, batch.pictures[:, :3]
         ),
         held_out=lambda path, turn, _: load_fusion(path, turn),
-        pools=("fusion-pool",),
+        pool="fusion-pool",
     ),
     "joint": Task(
         joint.JointConfig,

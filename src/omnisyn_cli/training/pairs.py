@@ -1,0 +1,191 @@
+"""Pairs of walks for the paper's depth network, and with the view between for depth and fusion together.
+
+All is held in the forward frame of the pair. Three views of a walk lie on one line; the outer ones are the pair, the
+inner one is the truth. The depth network sees the pair as two cameras might have photographed it; what is rendered from
+are the colours as they are, so that the fused picture can be compared with the truth at all.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import forward_frame, swap_cameras_in_forward_frame
+from omnisyn_cli.training.data import Augmentation, Walk, as_tensor, at_block_centres, draw_walk, reduced, vary_colours
+
+MAX_SURFACE_STEP = 0.05
+"""Relative difference of interpolated and nearest depth up to which both are of one surface."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pairs for one step.
+
+    Attributes:
+        first, second: colours in [0, 1] for the depth network.
+        sqrt_inv_depth: √(inverse depth × baseline) of the first; NaN where the truth is not known.
+        baseline: metres.
+    """
+
+    first: Float[Tensor, "batch 3 height width"]
+    second: Float[Tensor, "batch 3 height width"]
+    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
+    baseline: Float[Tensor, " batch"]
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What a network sees."""
+        return self.first, self.second
+
+
+@dataclass(frozen=True)
+class Triples(Batch):
+    """Pairs with the view between; everything has one size.
+
+    Attributes:
+        first_texture, second_texture: colours of the pair as they are shown.
+        second_sqrt_inv_depth: of the second, with swapped cameras.
+        middle: the view between.
+        position: of the way from the first to the second that it was taken at.
+    """
+
+    first_texture: Float[Tensor, "batch 3 height width"]
+    second_texture: Float[Tensor, "batch 3 height width"]
+    second_sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
+    middle: Float[Tensor, "batch 3 height width"]
+    position: Float[Tensor, " batch"]
+
+    @property
+    def sqrt_inv_depths(self) -> Float[Tensor, "2 batch 1 height width"]:
+        """Of the first, and of the second with swapped cameras."""
+        return torch.stack([self.sqrt_inv_depth, self.second_sqrt_inv_depth])
+
+
+def swap_cameras(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
+    """Panoramas of the forward frame as they look with swapped cameras; its own inverse.
+
+    See :func:`omnisyn_cli.geometry.sweep.swap_cameras_in_forward_frame`.
+    """
+    return x.roll(x.shape[-1] // 2, -1)
+
+
+def draw_pairs(
+    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
+    augmentation: Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
+) -> Batch:  # fmt: skip
+    """Random pairs of random walks; read from either end and mirrored at random.
+
+    Args:
+        pool: of walks.
+        rng: decides everything.
+        batch: how many.
+        size: of all images, which may be square; its height divides the pool's.
+        augmentation: of colours; None leaves them as they are.
+        max_sqrt_inv_depth: that targets are clipped to.
+
+    Raises InputError: the pool's size is not a multiple of ``size``.
+    """
+    return Batch(**_drawn(pool, rng, batch, size, augmentation, max_sqrt_inv_depth, views=2))
+
+
+def draw_triples(
+    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
+    augmentation: Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
+) -> Triples:  # fmt: skip
+    """As :func:`draw_pairs`, with the view between; InputError as well if a walk has fewer than three views."""
+    return Triples(**_drawn(pool, rng, batch, size, augmentation, max_sqrt_inv_depth, views=3))
+
+
+def _drawn(
+    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int], augmentation: Augmentation | None,
+    most: float, *, views: int,
+) -> dict[str, Tensor]:  # fmt: skip
+    """The fields of a batch, by name."""
+    drawn = [_draw(draw_walk(pool, rng, size[0], views), views, rng, size, augmentation) for _ in range(batch)]
+    stacked = {name: np.stack([sample[name] for sample in drawn]).astype(np.float32) for name in drawn[0]}
+    made = {name: as_tensor(x) if x.ndim == 4 else torch.from_numpy(x) for name, x in stacked.items()}
+    return made | {name: x.unsqueeze(1).clamp(max=most) for name, x in made.items() if name.endswith("sqrt_inv_depth")}
+
+
+def _draw(
+    walk: Walk, views: int, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
+) -> dict[str, Any]:
+    """One sample; what of :class:`Triples` two views do not have is left out."""
+    images, inverse_depths, positions = _ordered_views(walk, views, rng)
+    first, last = (Pose(np.eye(3), position) for position in positions[[0, -1]])
+    frame, _, baseline = forward_frame(first, last)
+    colours, whole = images.astype(np.float32) / np.float32(255.0), (size[0], 2 * size[0])
+    if augmentation is not None:
+        colours = _relight(colours, rng, augmentation)
+    shown = textures = np.stack([reduced(image, whole) for image in colours[[0, -1]]])
+    if augmentation is not None:
+        shown = vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
+    depths = [np.sqrt(at_block_centres(one, whole) * baseline) for one in inverse_depths[[0, -1]]]
+    pair = {
+        "first": turned_image(shown[0], frame.rotation, size),
+        "second": turned_image(shown[1], frame.rotation, size),
+        "sqrt_inv_depth": turned_depth(depths[0], frame.rotation, size),
+        "baseline": np.float32(baseline),
+    }
+    if views == 2:
+        return pair
+    return pair | {
+        "first_texture": turned_image(textures[0], frame.rotation, size),
+        "second_texture": turned_image(textures[1], frame.rotation, size),
+        "second_sqrt_inv_depth": swap_cameras_in_forward_frame(turned_depth(depths[1], frame.rotation, size)),
+        "middle": turned_image(colours[1], frame.rotation, size),
+        "position": np.linalg.norm(positions[1] - positions[0]) / baseline,
+    }
+
+
+def _ordered_views(walk: Walk, views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Images, inverse depths and places of some views, in order from either end, mirrored or not."""
+    chosen = np.sort(rng.choice(len(walk.positions), views, replace=False))
+    if rng.random() < 0.5:
+        chosen = chosen[::-1]
+    images, inverse_depths, positions = walk.images[chosen], walk.inverse_depth[chosen], walk.positions[chosen]
+    if rng.random() < 0.5:
+        return images[:, :, ::-1], inverse_depths[:, :, ::-1], positions * [-1.0, 1.0, 1.0]
+    return images, inverse_depths, positions.astype(np.float64)
+
+
+def turned_image(
+    image: Float32[np.ndarray, "rows cols 3"], rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]
+) -> Float32[np.ndarray, "height width 3"]:
+    """A panorama as a camera turned by a rotation sees it: by cubic weights at its own size, then reduced."""
+    sharp = np.clip(_table(image.shape[:2], rotation, image.shape).bicubic(np.ascontiguousarray(image)), 0.0, 1.0)
+    return reduced(sharp, size)
+
+
+def turned_depth(
+    sqrt_inv_depth: Float32[np.ndarray, "rows cols"], rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]
+) -> Float32[np.ndarray, "height width"]:
+    """The same of √(inverse depth × baseline): linear on surfaces, not interpolated at all across edges.
+
+    What is not known (NaN) stays so.
+    """
+    table = _table(size, rotation, sqrt_inv_depth.shape)
+    source = np.ascontiguousarray(sqrt_inv_depth, np.float32)
+    smooth, nearest = table.bilinear(source), table.nearest(source)
+    return np.where(np.abs(smooth - nearest) <= MAX_SURFACE_STEP * nearest, smooth, nearest)
+
+
+def _table(size: tuple[int, ...], rotation: np.ndarray, source: tuple[int, ...]) -> RemapTable:
+    """Where a panorama of a size ``source`` shows what a camera turned by a rotation sees in its pixels."""
+    return RemapTable.for_directions(pixel_directions(size[0], size[1]) @ rotation.T, source)
+
+
+def _relight(
+    views: Float32[np.ndarray, "views height width 3"], rng: np.random.Generator, augmentation: Augmentation
+) -> Float32[np.ndarray, "views height width 3"]:
+    """Another light, the same for all views."""
+    gain = (1 + augmentation.exposure * rng.uniform(-1, 1)) * (1 + augmentation.relative * rng.uniform(-1, 1, 3))
+    gamma = np.float32(1 + augmentation.gamma * rng.uniform(-1, 1))
+    return np.asarray(np.clip(views * gain.astype(np.float32), 1e-4, 1.0) ** gamma, np.float32)
