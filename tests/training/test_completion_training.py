@@ -16,12 +16,14 @@ from omnisyn_cli.networks.completion import (
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training import losses
+from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.completion import FeatureBatch, FeatureSample, draw_feature_pair, make_feature_scene
 from omnisyn_cli.training.data import list_scene_files, load_samples
-from omnisyn_cli.training.loop import TrainConfig, load_network, train
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.losses import completion_loss, completion_scores
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.scene_makers import TiltedConfig
+from omnisyn_cli.training.task import TrainConfig
 
 TINY = CompletionConfig(
     "tiny", channels=COMPLETION_CHANNEL_COUNT, widths=(8, 12, 16), fine=6, heads=2, attention_layers=1

@@ -22,6 +22,7 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.data import load_samples, load_walk, save_samples
 from omnisyn_cli.training.fusion_losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
 from omnisyn_cli.training.fusion_scenes import (
@@ -34,8 +35,9 @@ from omnisyn_cli.training.fusion_scenes import (
     swap_views,
     window_columns,
 )
-from omnisyn_cli.training.loop import TrainConfig, load_network, train
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.publish import publish
+from omnisyn_cli.training.task import TrainConfig
 from omnisyn_cli.types import Layer
 
 TINY = FusionConfig("tiny", channels=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)

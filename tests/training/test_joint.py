@@ -22,7 +22,7 @@ from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, save_checkpoint
 from omnisyn_cli.training.data import list_scene_files, save_samples
 from omnisyn_cli.training.fusion_losses import network_inputs
 from omnisyn_cli.training.joint import (
@@ -35,9 +35,10 @@ from omnisyn_cli.training.joint import (
     joint_answer,
     joint_loss,
 )
-from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, part_of, train
+from omnisyn_cli.training.loop import Trainer, train
 from omnisyn_cli.training.pairs import draw_triples, swap_cameras
 from omnisyn_cli.training.publish import publish
+from omnisyn_cli.training.task import TrainConfig
 from omnisyn_cli.types import Layer
 
 PAINTING = FusionConfig("tiny", channels=8, widths=(8, 12, 16), is_direct=True)

@@ -8,10 +8,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.training.checkpoint import load_checkpoint
+from omnisyn_cli.training.checkpoint import load_checkpoint, load_network
 from omnisyn_cli.training.data import save_samples
 from omnisyn_cli.training.fusion_scenes import FusionSample
-from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.precision import choose_precision
 from omnisyn_cli.training.publish import publish
 

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from training_samples import TINY, make_pool
 
-from omnisyn_cli.training.loop import TrainConfig, train
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, contact_sheet, depth_pictures
+from omnisyn_cli.training.task import TrainConfig
 
 
 @pytest.fixture

@@ -162,7 +162,7 @@ def _variants(role: str) -> dict[str, Any]:
 
 def _beginning(chosen: str, role: str) -> tuple[Any, dict[str, Any]]:
     """The configuration of a variant or of a checkpoint, and its weights as the joint network names them."""
-    from omnisyn_cli.training.loop import part_of
+    from omnisyn_cli.training.checkpoint import part_of
     from omnisyn_cli.training.tasks import kinds_for
 
     known = _variants(role)
@@ -182,9 +182,10 @@ def _train(
 ) -> None:  # fmt: skip
     import torch
 
-    from omnisyn_cli.training.loop import TrainConfig, part_of
+    from omnisyn_cli.training.checkpoint import part_of
     from omnisyn_cli.training.loop import train as run
     from omnisyn_cli.training.precision import choose_precision
+    from omnisyn_cli.training.task import TrainConfig
     from omnisyn_cli.training.tasks import task_of
 
     if begin_with is not None:

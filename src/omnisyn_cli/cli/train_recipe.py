@@ -45,8 +45,7 @@ def recipe(
     import torch
 
     from omnisyn_cli.training.precision import choose_precision
-    from omnisyn_cli.training.recipe import read_recipe
-    from omnisyn_cli.training.recipe_run import train_recipe
+    from omnisyn_cli.training.recipe import read_recipe, train_recipe
     from omnisyn_cli.training.walks import MeshSource
 
     if threads:

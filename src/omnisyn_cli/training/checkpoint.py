@@ -1,8 +1,12 @@
-"""One file with everything to go on training, written so that a kill at any moment leaves a whole one."""
+"""One file with everything to go on training, written so that a kill at any moment leaves a whole one.
+
+Training may begin with an exported network too: it becomes a checkpoint of its weights by name.
+"""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -10,12 +14,34 @@ from typing import Any
 import torch
 
 from omnisyn_cli.errors import InputError, WriteError
+from omnisyn_cli.networks.export import read_weights
+from omnisyn_cli.runtime.models import ModelEntry, read_manifest
+from omnisyn_cli.training.tasks import TASKS, kinds_for, parts_of
 
 REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 """What every checkpoint has, compact or not."""
 
+KEPT_KEYS = ("kind", "network", "training", "step", "scores", "best", "pool", "curve")
+"""What compact ones keep besides weights, as far as there is any."""
+
 MAX_REASON_CHARS = 200
 """Characters of what torch says that are passed on."""
+
+SEARCH_PATTERNS = ("*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/*.pt", "*/checkpoints/*.pt")
+"""Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom."""
+
+SYNSIN = "synsin"
+"""The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …"""
+
+
+@dataclass(frozen=True)
+class FoundCheckpoint:
+    """A checkpoint: its kind is one of :data:`omnisyn_cli.training.tasks.TASKS`, several networks have no variant."""
+
+    path: Path
+    kind: str
+    variant: str
+    step: int
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -42,11 +68,8 @@ def compact(state: dict[str, Any]) -> dict[str, Any]:
 
     It can be exported, and a run that starts from it goes on with these weights and a fresh optimiser.
     """
-    kept: dict[str, Any] = {
-        key: state[key] for key in ("kind", "network", "training", "step", "scores", "best") if key in state
-    }
     average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
-    return {**kept, "average": average}
+    return {key: state[key] for key in KEPT_KEYS if key in state} | {"average": average}
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -81,3 +104,76 @@ def of_this_version(path: Path) -> Iterator[None]:
             f"expected a checkpoint of this version's networks in {path}, got '{reason}'; train anew, or use the "
             "version that wrote it"
         ) from error
+
+
+def load_state(path: Path) -> dict[str, Any]:
+    """A checkpoint, or one made of an ONNX file of a folder with a manifest.
+
+    Raises InputError: no such file, no checkpoint, or an ONNX file that the manifest beside it does not name.
+    """
+    if path.suffix != ".onnx":
+        return load_checkpoint(path)
+    entries = {entry.file: entry for entry in read_manifest(path.parent).values()}
+    if path.name not in entries or not path.is_file():
+        raise InputError(f"expected a network of the manifest beside {path}, found none; name another file")
+    entry = entries[path.name]
+    kind = SYNSIN if entry.role.startswith(SYNSIN) else _kind(entry)
+    config = TASKS[kind].variants[entry.variant]
+    found: dict[str, torch.Tensor] = {}
+    for part in entries.values():
+        if part == entry and kind != SYNSIN:
+            found |= read_weights(path)
+        elif kind == SYNSIN and part.role.startswith(SYNSIN) and part.variant == entry.variant:
+            prefix = part.role.removeprefix(f"{SYNSIN}-")
+            found |= {f"{prefix}.{name}": value for name, value in read_weights(path.parent / part.file).items()}
+    with of_this_version(path):
+        own = TASKS[kind].build(config).state_dict()
+        average = {name: found[name].reshape(value.shape).to(value.dtype) for name, value in own.items()}
+    about = {"training": {"size": entry.size}, "step": 0, "scores": dict(entry.metrics)}
+    return {"kind": kind, "network": config.as_dict(), **about, "average": average}
+
+
+def _kind(entry: ModelEntry) -> str:
+    for kind in kinds_for(entry.role):
+        if entry.variant in TASKS[kind].variants:
+            return kind
+    raise InputError(f"expected a network that can be trained, got {entry.name}, a {entry.role} network; name another")
+
+
+def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
+    """The averaged network of a checkpoint or of an exported file, and the checkpoint; its ``"kind"`` says what it is.
+
+    Raises InputError: no file, or no checkpoint of a known kind and of this version.
+    """
+    state = load_state(path)
+    if state["kind"] not in TASKS:
+        raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {state['kind']!r}")
+    task = TASKS[state["kind"]]
+    with of_this_version(path):
+        network = task.build(task.config.from_dict(state["network"]))
+        network.load_state_dict(state["average"])
+    return network.eval(), state
+
+
+def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
+    """The averaged network of one of these kinds in a checkpoint, joint or not.
+
+    Raises InputError: no checkpoint of this version, or it has none.
+    """
+    held = parts_of(load_network(path)[0])
+    found = [part for kind, part in held.items() if kind in kinds]
+    if not found:
+        expected, got = " or ".join(kinds), " and ".join(held)
+        raise InputError(f"expected a {expected} network in {path}, got {got}; name another checkpoint")
+    return found[0]
+
+
+def checkpoints_below(folder: Path) -> Iterator[FoundCheckpoint]:
+    """The checkpoints in a folder and where runs below it have theirs, by path; other files are passed over."""
+    for path in sorted({path for place in SEARCH_PATTERNS for path in folder.glob(place)}):
+        try:
+            state = load_checkpoint(path)
+        except InputError:
+            continue
+        if state["kind"] in TASKS:
+            yield FoundCheckpoint(path, state["kind"], str(state["network"].get("name", "")), int(state["step"]))

@@ -287,8 +287,8 @@ def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) 
         if seen := fuser.seen():
             truth = downsample_channels_first(pair.truth(k), stored_size)
             for channels, pictures in seen:
-                shown, error = (channels, pictures, truth), _squared_error(pictures[:3], truth)
-                yield FusionSample(*(x.astype(np.float16) for x in shown), fused_error=error)
+                half, error = np.float16, _squared_error(pictures[:3], truth)
+                yield FusionSample(channels.astype(half), pictures.astype(half), truth.astype(half), error)
 
 
 def _squared_error(

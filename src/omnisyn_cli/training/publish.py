@@ -14,8 +14,8 @@ from omnisyn_cli.networks.export import PARITY, export_network, largest_differen
 from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
+from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.data import list_scene_files
-from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.synsin import blend_points, draw_views
 from omnisyn_cli.training.task import Task, TrainConfig
 from omnisyn_cli.training.tasks import TASKS, parts_of, role_of

@@ -1,12 +1,10 @@
 """All kinds of networks, and what each is taught."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
     COMPLETION_VARIANTS,
     FILLED_CHANNEL,
@@ -156,16 +154,6 @@ def role_of(kind: str) -> str:
 def kinds_for(role: str) -> tuple[str, ...]:
     """The kinds of network for a role."""
     return tuple(kind for kind in TASKS if role_of(kind) == role)
-
-
-def task_named(kind: object, path: Path) -> Task:
-    """The task of a checkpoint.
-
-    Raises InputError: there is no such kind.
-    """
-    if kind not in TASKS:
-        raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {kind!r}")
-    return TASKS[str(kind)]
 
 
 def parts_of(network: Any) -> dict[str, Any]:
