@@ -38,7 +38,7 @@ from omnisyn_cli.training.joint import (
 from omnisyn_cli.training.loop import Trainer, train
 from omnisyn_cli.training.pairs import draw_triples, swap_cameras
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.task import TrainConfig
+from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 
 PAINTING = FusionConfig("tiny", channels=8, widths=(8, 12, 16), is_direct=True)

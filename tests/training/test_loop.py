@@ -11,7 +11,7 @@ from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.paper import PaperNetwork
 from omnisyn_cli.training.checkpoint import REQUIRED_KEYS, compact, load_checkpoint, load_network, save_checkpoint
 from omnisyn_cli.training.loop import Trainer, open_trainer, train
-from omnisyn_cli.training.task import TrainConfig
+from omnisyn_cli.training.tasks import TrainConfig
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
 from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.publish import publish, write_manifest
-from omnisyn_cli.training.task import TrainConfig
+from omnisyn_cli.training.tasks import TrainConfig
 from synsin_samples import TINY_SIZE, write_synsin_models
 
 

@@ -16,7 +16,7 @@ from omnisyn_cli.training.checkpoint import load_checkpoint
 from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.synsin import ViewSample, draw_views, view_sample
-from omnisyn_cli.training.task import TrainConfig
+from omnisyn_cli.training.tasks import TrainConfig
 
 TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 

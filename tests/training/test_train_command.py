@@ -10,7 +10,7 @@ from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.checkpoint import load_checkpoint, load_network
 from omnisyn_cli.training.data import save_samples
-from omnisyn_cli.training.fusion_scenes import FusionSample
+from omnisyn_cli.training.fusion_scenes import FusionBatch
 from omnisyn_cli.training.precision import choose_precision
 from omnisyn_cli.training.publish import publish
 
@@ -58,7 +58,7 @@ def test_a_pool_of_a_size_that_the_network_cannot_halve_is_refused(
 ):
     for name, height in (("pool", pool_height), ("judged", judged_height)):
         picture = np.zeros((1, height, 2 * height), np.float16)
-        save_samples(tmp_path / name / "0.npz", [FusionSample(picture, picture, picture, np.float32(0.0))])
+        save_samples(tmp_path / name / "0.npz", [FusionBatch(picture, picture, picture, np.float32(0.0))])
     pools = ("--pool", tmp_path / "pool", "--validation-pool", tmp_path / "judged")
     result = run("fusion", tmp_path / "run", *pools, "--variant", variant, "--steps", 1)
     assert isinstance(result.exception, InputError)

@@ -10,7 +10,7 @@ from omnisyn_cli.networks.synsin import FeatureEncoder, MonocularNetwork, Refine
 from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.loop import Trainer
 from omnisyn_cli.training.precision import BF16_INSTRUCTIONS, Precision, choose_precision
-from omnisyn_cli.training.task import TrainConfig
+from omnisyn_cli.training.tasks import TrainConfig
 
 SYNSIN = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 HALF = Precision(torch.device("cpu"), is_half=True)

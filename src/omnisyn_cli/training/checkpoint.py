@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from omnisyn_cli.errors import InputError, WriteError
+from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
 from omnisyn_cli.networks.export import read_weights
 from omnisyn_cli.runtime.models import ModelEntry, read_manifest
 from omnisyn_cli.training.tasks import TASKS, kinds_for, parts_of
@@ -27,7 +28,7 @@ KEPT_KEYS = ("kind", "network", "training", "step", "scores", "best", "pool", "c
 MAX_REASON_CHARS = 200
 """Characters of what torch says that are passed on."""
 
-SEARCH_PATTERNS = ("*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/*.pt", "*/checkpoints/*.pt")
+SEARCH_PATTERNS = ("[!.]*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/[!.]*.pt", "*/checkpoints/[!.]*.pt")
 """Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom."""
 
 SYNSIN = "synsin"
@@ -47,20 +48,23 @@ class FoundCheckpoint:
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write beside ``path``, then rename over it.
 
-    Raises WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
+    Raises:
+        WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
+        OutputPathError: the folder cannot be made.
     """
-    partial = path.with_suffix(path.suffix + ".partial")
+    make_folder(path.parent, "a network that is trained")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
+        with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
             torch.save(state, file)
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(path)
-    except (OSError, RuntimeError) as error:  # torch's own writer raises the latter on a full disk
-        partial.unlink(missing_ok=True)
-        reason = " ".join(str(error).split())[:MAX_REASON_CHARS]
-        raise WriteError(f"{path}: expected to write it, got '{reason}'; check free space and permissions") from error
+    except RuntimeError as error:  # of torch's own writer on a full disk
+        raise WriteError(f"{path}: expected to write it, got '{_reason(error)}'; check free space") from error
+
+
+def _reason(error: Exception) -> str:
+    """In one short line."""
+    return " ".join(str(error).split())[:MAX_REASON_CHARS]
 
 
 def compact(state: dict[str, Any]) -> dict[str, Any]:
@@ -84,10 +88,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     except UnpicklingError:
         raise InputError(f"expected a checkpoint in {path}, got another file; give the path `train` wrote to") from None
     except Exception as error:
-        reason = str(error) or type(error).__name__
-        raise InputError(
-            f"expected a checkpoint in {path}, got a file torch cannot read: {reason:.{MAX_REASON_CHARS}}"
-        ) from error
+        reason = _reason(error) or type(error).__name__
+        raise InputError(f"expected a checkpoint in {path}, got a file torch cannot read: {reason}") from error
     if not isinstance(state, dict) or REQUIRED_KEYS - state.keys():
         raise InputError(f"expected a checkpoint in {path}, got other tensors; give the path `train` wrote to")
     return state
@@ -99,10 +101,9 @@ def of_this_version(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:MAX_REASON_CHARS]
         raise InputError(
-            f"expected a checkpoint of this version's networks in {path}, got '{reason}'; train anew, or use the "
-            "version that wrote it"
+            f"expected a checkpoint of this version's networks in {path}, got '{_reason(error)}'; train anew, or use "
+            "the version that wrote it"
         ) from error
 
 
@@ -117,15 +118,15 @@ def load_state(path: Path) -> dict[str, Any]:
     if path.name not in entries or not path.is_file():
         raise InputError(f"expected a network of the manifest beside {path}, found none; name another file")
     entry = entries[path.name]
-    kind = SYNSIN if entry.role.startswith(SYNSIN) else _kind(entry)
+    if entry.role.startswith(SYNSIN):
+        kind, found = SYNSIN, dict[str, torch.Tensor]()
+        for part in entries.values():
+            if part.role.startswith(SYNSIN) and part.variant == entry.variant:
+                prefix, weights = part.role.removeprefix(f"{SYNSIN}-"), read_weights(path.parent / part.file)
+                found |= {f"{prefix}.{name}": value for name, value in weights.items()}
+    else:
+        kind, found = _kind(entry), read_weights(path)
     config = TASKS[kind].variants[entry.variant]
-    found: dict[str, torch.Tensor] = {}
-    for part in entries.values():
-        if part == entry and kind != SYNSIN:
-            found |= read_weights(path)
-        elif kind == SYNSIN and part.role.startswith(SYNSIN) and part.variant == entry.variant:
-            prefix = part.role.removeprefix(f"{SYNSIN}-")
-            found |= {f"{prefix}.{name}": value for name, value in read_weights(path.parent / part.file).items()}
     with of_this_version(path):
         own = TASKS[kind].build(config).state_dict()
         average = {name: found[name].reshape(value.shape).to(value.dtype) for name, value in own.items()}

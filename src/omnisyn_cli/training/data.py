@@ -7,24 +7,26 @@ and the fusion network several (:mod:`omnisyn_cli.training.completion`, :mod:`om
 A batch depends on the seed, the step and the pool alone, so a run can stop and go on anywhere.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int8, Shaped, UInt8
-from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.io.outputs import write_errors
+from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
 from omnisyn_cli.types import DepthEstimate, View
+
+Array = Any  # numpy.ndarray in a sample, torch.Tensor in a batch
+
+Sample = TypeVar("Sample")
 
 REQUIRED_ARRAYS = {"pool": "positions_0", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
 """By the command that makes a kind of pool, an array that only its files have."""
@@ -81,28 +83,24 @@ class Augmentation:
 def save_samples(path: Path, samples: Sequence[Any]) -> None:
     """Write dataclasses of arrays and numbers, whole or not at all; a kill leaves no partial file under the name.
 
-    Raises WriteError: the disk is full, or the folder went away.
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+        OutputPathError: the folder cannot be made.
     """
     arrays = {f"{name}_{k}": value for k, sample in enumerate(samples) for name, value in vars(sample).items()}
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    with write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as file:
-                np.savez(file, **arrays)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+    make_folder(path.parent, "a pool")
+    with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
 
 
 def load_samples(
-    path: Path, kind: type[Any], which: int | None = None, dtype: type[np.floating] = np.float32
-) -> list[Any]:
+    path: Path, kind: type[Sample], which: int | None = None, dtype: type[np.floating] = np.float32
+) -> list[Sample]:
     """All samples of a file, or the one at ``which``, counted on beyond the last from the first again.
 
     What was stored in half precision has ``dtype``.
     """
-    names = [entry.name for entry in fields(kind)]
+    names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
     with np.load(path) as file:
         count = len(file.files) // len(names)
         arrays = [
@@ -114,7 +112,7 @@ def load_samples(
 def load_walk(path: Path) -> Walk:
     """Read one file of a pool of walks."""
     (walk,) = load_samples(path, Walk)
-    return walk  # type: ignore[no-any-return]
+    return walk
 
 
 def draw_walk(pool: list[Path], rng: np.random.Generator, height: int = 1, least_views: int = 2) -> Walk:
@@ -148,10 +146,10 @@ def walk_views(walk: Walk) -> list[View]:
     ]
 
 
-def stack_fields(samples: Sequence[Any]) -> list[Tensor]:
-    """Each field of all samples, as tensors."""
+def stacked(samples: Sequence[Sample]) -> Sample:
+    """Dataclasses of arrays and numbers as one of tensors, with an axis more: a batch."""
     columns = zip(*(vars(sample).values() for sample in samples), strict=True)
-    return [torch.from_numpy(np.stack(column)) for column in columns]
+    return type(samples[0])(*(torch.from_numpy(np.stack(column)) for column in columns))
 
 
 def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
@@ -161,10 +159,9 @@ def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
         folder: of the pool.
         maker: command that such pools are made by, of :data:`REQUIRED_ARRAYS`.
 
-    Raises InputError: there are none, or of another kind.
+    Raises InputError: there are none, they are of another kind, or the first one is damaged.
     """
-    paths = sorted(folder.glob("*.npz"))
-    command = f"`omnisyn train {maker}`"
+    command, paths = f"`omnisyn train {maker}`", scene_files(folder)
     if not paths:
         raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; make one with {command}")
     if not is_made_by(maker, paths[0]):
@@ -176,15 +173,17 @@ def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
 
 def list_walks(folder: Path) -> list[Path]:
     """The files of a folder of walks, in order; none where it holds something else."""
-    paths = sorted(folder.glob("*.npz"))
+    paths = scene_files(folder)
     return paths if paths and is_made_by("pool", paths[0]) else []
 
 
-def is_made_by(maker: str, path: Path) -> bool:
-    """Whether a scene is of the pools that a command makes, one of :data:`REQUIRED_ARRAYS`.
+def scene_files(folder: Path) -> list[Path]:
+    """In order, without those that are being written."""
+    return sorted(folder.glob("[!.]*.npz"))
 
-    Raises InputError: the file is damaged.
-    """
+
+def is_made_by(maker: str, path: Path) -> bool:
+    """Whether a scene is of the pools that a command makes, one of :data:`REQUIRED_ARRAYS`; InputError: damaged."""
     try:
         with np.load(path) as file:
             return REQUIRED_ARRAYS[maker] in file
@@ -193,14 +192,7 @@ def is_made_by(maker: str, path: Path) -> bool:
 
 
 def check_height(pool: list[Path], multiple: int) -> None:
-    """Refuse a pool of renderings, which are learned from at the size they have.
-
-    Args:
-        pool: from :func:`list_scene_files`; all scenes of a pool have one size.
-        multiple: that the height has to be of.
-
-    Raises InputError: it is not.
-    """
+    """Refuse (InputError) a pool of renderings, which are learned from at the size they have, by its first scene."""
     with np.load(pool[0]) as file:
         height = file["channels_0"].shape[-2]
     if height % multiple:
@@ -215,11 +207,6 @@ def reduced(image: Shaped[np.ndarray, "rows cols 3"], size: tuple[int, int]) -> 
     if image.shape[:2] == size:
         return image
     return np.asarray(cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA))
-
-
-def as_tensor(images: Float32[np.ndarray, "batch height width 3"]) -> Float32[Tensor, "batch 3 height width"]:
-    """Colours first, as networks see them."""
-    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).contiguous()
 
 
 def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:

@@ -29,7 +29,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Shaped
-from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
@@ -47,7 +46,7 @@ from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.training.data import load_samples, load_walk, save_samples, stack_fields, walk_views
+from omnisyn_cli.training.data import Array, load_samples, load_walk, save_samples, stacked, walk_views
 from omnisyn_cli.training.scene_makers import TiltedConfig, noisy_pose, scene_path, take_photograph
 from omnisyn_cli.types import DepthEstimator, Layer, View
 
@@ -129,72 +128,56 @@ class FusionSceneConfig(TiltedConfig):
 
 
 @dataclass(frozen=True)
-class FusionSample:
-    """One position, or some of its columns: network inputs, fused picture with candidates, truth, squared error."""
-
-    channels: Float[np.ndarray, "channels height width"]
-    pictures: Float[np.ndarray, "15 rows cols"]
-    truth: Float[np.ndarray, "3 rows cols"]
-    fused_error: Float32[np.ndarray, ""]
-
-
-@dataclass(frozen=True)
 class FusionBatch:
-    """Windows for one step, stacked."""
+    """Positions, or some of their columns, for one step, as tensors; one, without the first axis, as arrays.
 
-    channels: Float[Tensor, "batch channels height width"]
-    pictures: Float[Tensor, "batch 15 rows cols"]
-    truth: Float[Tensor, "batch 3 rows cols"]
-    fused_error: Float[Tensor, " batch"]
+    Attributes:
+        channels: network inputs.
+        pictures: the fused picture with its candidates.
+        truth: what is to be seen.
+        fused_error: squared error of the fused picture.
+    """
+
+    channels: Float[Array, "*batch channels height width"]
+    pictures: Float[Array, "*batch 15 rows cols"]
+    truth: Float[Array, "*batch 3 rows cols"]
+    fused_error: Float[Array, "*batch"]
 
 
 class _RecordingFuser(ResidualFuser):
-    """Fuses by rules, and keeps what a network would be shown and what it would choose from.
+    """Fuses by rules, and keeps what networks that look at several sizes would be shown and would choose from.
 
     Args:
         size: height and width of the frames.
-        rows: that the network would look at.
+        heights: that networks look at; those that frames are too small for, or it, say nothing.
         stored_size: height and width of the pictures that are kept.
     """
 
-    def __init__(self, size: tuple[int, int], rows: int, stored_size: tuple[int, int]) -> None:
-        super().__init__(size, lambda channels: channels[:4], rows, threads=1)
+    def __init__(self, size: tuple[int, int], heights: Sequence[int], stored_size: tuple[int, int]) -> None:
+        super().__init__(size, lambda channels: channels[:4], heights[0], threads=1)
         self._stored_size = stored_size
+        self._others = [_RecordingFuser(size, [rows], stored_size) for rows in heights[1:]]
         self.seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __call__(
+        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
+        confidence: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """See :class:`omnisyn_cli.types.Fuser`; what was seen before is forgotten."""
+        self.seen.clear()
+        picture = super().__call__(first, second, t, out, confidence)
+        for other in self._others:
+            picture = other(first, second, t, out, confidence)
+            self.seen += other.seen
+        return picture
 
     def correct(
         self, channels: np.ndarray, candidates: WarpCandidates, strength: np.ndarray, picture: np.ndarray
     ) -> None:
         """See :class:`omnisyn_cli.fusion.residual.ResidualFuser`; nothing is corrected."""
         pictures = [picture, *candidates.candidates(self.size)[..., :3]]
-        self.seen.append(
-            (channels, np.concatenate([downsample_channels_first(each, self._stored_size) for each in pictures]))
-        )
-
-
-class _MultiSizeRecorder:
-    """Fuses by rules, and keeps what networks that look at several sizes would be shown.
-
-    Args:
-        size: height and width of the frames.
-        heights: that they look at; those that frames are too small for, or it, say nothing.
-        stored_size: height and width of the pictures that are kept.
-    """
-
-    def __init__(self, size: tuple[int, int], heights: Sequence[int], stored_size: tuple[int, int]) -> None:
-        self.recorders = [_RecordingFuser(size, rows, stored_size) for rows in heights]
-
-    def __call__(
-        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
-        confidence: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
-        """See :class:`omnisyn_cli.types.Fuser`."""
-        pictures = [recorder(first, second, t, out, confidence) for recorder in self.recorders]
-        return pictures[-1]
-
-    def seen(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The channels and pictures since the last call."""
-        return [recorder.seen.pop() for recorder in self.recorders if recorder.seen]
+        shown = [downsample_channels_first(each, self._stored_size) for each in pictures]
+        self.seen.append((channels, np.concatenate(shown)))
 
 
 def downsample_channels_first(
@@ -274,28 +257,21 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
     return make_estimator(depth, device="cpu", threads=1)
 
 
-def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
+def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionBatch]:
     size, stored_size = config.photograph_size, (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
     rows, by_rules = config.size[0], run_config.fusion_strategy.by_rules
-    fuser = _MultiSizeRecorder(
-        size, (rows, rows // 2) if by_rules and rows >= MIN_HALVED_ROWS else (rows,), stored_size
-    )
+    heights = (rows, rows // 2) if by_rules and rows >= MIN_HALVED_ROWS else (rows,)
+    fuser = _RecordingFuser(size, heights, stored_size)
     cut = Cut(run_config.cut, run_config.cut_metres)
     options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
     method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
     for k, _ in enumerate(synthesize(pair.ends, pair.path, method)):
-        if seen := fuser.seen():
+        if fuser.seen:
             truth = downsample_channels_first(pair.truth(k), stored_size)
-            for channels, pictures in seen:
-                half, error = np.float16, _squared_error(pictures[:3], truth)
-                yield FusionSample(channels.astype(half), pictures.astype(half), truth.astype(half), error)
-
-
-def _squared_error(
-    picture: Float32[np.ndarray, "3 rows cols"], truth: Float32[np.ndarray, "3 rows cols"]
-) -> Float32[np.ndarray, ""]:
-    """Mean over the sphere."""
-    return np.asarray(mean_over_sphere(np.square(picture - truth).transpose(1, 2, 0)), np.float32)
+            for channels, pictures in fuser.seen:
+                error = mean_over_sphere(np.square(pictures[:3] - truth).transpose(1, 2, 0))
+                half, error = np.float16, np.asarray(error, np.float32)
+                yield FusionBatch(channels.astype(half), pictures.astype(half), truth.astype(half), error)
 
 
 def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:
@@ -305,22 +281,17 @@ def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> Fusio
     columns; it lies, across the seam or not, preferably where the views contradict each other. All have the sizes of
     the first that is drawn: a pool may hold scenes of several.
     """
-    drawn: list[FusionSample] = []
+    drawn: list[FusionBatch] = []
     while len(drawn) < batch:
         path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
-        sample = load_samples(path, FusionSample, which, np.float16)[0]
+        sample = load_samples(path, FusionBatch, which, np.float16)[0]
         rows = sample.channels.shape[-2], sample.truth.shape[-2]
         if not drawn or rows == (drawn[0].channels.shape[-2], drawn[0].truth.shape[-2]):
             drawn.append(_augment(sample, rng))
-    return FusionBatch(*stack_fields(drawn))
+    return stacked(drawn)
 
 
-def load_fusion(path: Path, which: int) -> FusionBatch:
-    """A place of a scene as it is."""
-    return FusionBatch(*stack_fields(load_samples(path, FusionSample, which)))
-
-
-def _augment(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
+def _augment(sample: FusionBatch, rng: np.random.Generator) -> FusionBatch:
     """All that is done to colours is linear, so that blends of varied colours are varied blends."""
     channels, pictures, truth = _window(sample, rng)
     tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
@@ -335,10 +306,10 @@ def _augment(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
         channels, pictures, truth = (x[..., ::-1] for x in (channels, pictures, truth))
     fused_error = np.asarray(sample.fused_error * np.square(tint).mean(), np.float32)
     channels, pictures, truth = map(np.ascontiguousarray, (channels, pictures, truth))
-    return FusionSample(channels, pictures, truth, fused_error)
+    return FusionBatch(channels, pictures, truth, fused_error)
 
 
-def _window(sample: FusionSample, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _window(sample: FusionBatch, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Planes and pictures of a quarter of the columns, in single precision."""
     relevance, farthest, nearest = (
         sample.channels[k].astype(np.float32)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
@@ -20,8 +20,17 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
-from omnisyn_cli.training.data import Augmentation, Walk, as_tensor, at_block_centres, draw_walk, reduced, vary_colours
-from omnisyn_cli.training.losses import polar_weights
+from omnisyn_cli.training.data import (
+    Array,
+    Augmentation,
+    Walk,
+    at_block_centres,
+    draw_walk,
+    reduced,
+    stacked,
+    vary_colours,
+)
+from omnisyn_cli.training.losses import polar_weights, signed_error
 from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.walks import baseline_ratios
 
@@ -55,26 +64,26 @@ MIN_JUDGED = 0.03
 
 @dataclass(frozen=True)
 class GuidedBatch:
-    """Pairs for one step.
+    """Pairs for one step, as tensors; one of them, without the first axis, as arrays.
 
     Attributes:
-        first, second: ``(batch, 3, height, width)`` colours in [0, 1].
-        towards: ``(batch, 3, 1, 1)`` unit vector to the other camera.
-        guidance: ``(batch, 6, height / 4, width / 4)``, see :data:`GUIDANCE_CHANNELS`.
-        unmatched: ``(batch, 1, height / 4, width / 4)`` share that matching left open; 0 where nothing was matched.
-        sqrt_inv_depth: ``(batch, 1, height, width)`` √(inverse depth × baseline); NaN where it is not known.
-        ratio: ``(batch,)`` baseline over median depth.
-        is_mesh: ``(batch,)`` whether the scene is a mesh.
+        first, second: colours in [0, 1].
+        towards: unit vector to the other camera.
+        guidance: a quarter of the size, see :data:`GUIDANCE_CHANNELS`.
+        unmatched: share that matching left open; 0 where nothing was matched.
+        sqrt_inv_depth: √(inverse depth × baseline); NaN where it is not known.
+        ratio: baseline over median depth.
+        is_mesh: whether the scene is a mesh.
     """
 
-    first: Float[Tensor, "batch 3 height width"]
-    second: Float[Tensor, "batch 3 height width"]
-    towards: Float[Tensor, "batch 3 1 1"]
-    guidance: Float[Tensor, "batch 6 rows cols"]
-    unmatched: Float[Tensor, "batch 1 rows cols"]
-    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
-    ratio: Float[Tensor, " batch"]
-    is_mesh: Tensor
+    first: Float[Array, "*batch 3 height width"]
+    second: Float[Array, "*batch 3 height width"]
+    towards: Float[Array, "*batch 3 1 1"]
+    guidance: Float[Array, "*batch 6 rows cols"]
+    unmatched: Float[Array, "*batch 1 rows cols"]
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]
+    ratio: Float[Array, "*batch"]
+    is_mesh: Bool[Array, "*batch"]
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
@@ -82,60 +91,29 @@ class GuidedBatch:
         return self.first, self.second, self.towards, self.guidance
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """One sample, as arrays."""
-
-    colours: Float32[np.ndarray, "2 height width 3"]
-    inverse_depth: Float32[np.ndarray, "height width"]
-    towards: Float[np.ndarray, " 3"]
-    guidance: Float32[np.ndarray, "6 rows cols"]
-    unmatched: Float32[np.ndarray, "rows cols"]
-    ratio: float
-    is_mesh: bool
-
-
 def draw_guided(
-    pool: list[Path],
-    rng: np.random.Generator,
-    pairs: int,
-    size: tuple[int, int],
-    max_sqrt_inv_depth: float,
-    augmentation: Augmentation | None = None,
-    guided: float = 0.0,
-) -> GuidedBatch:
+    pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], max_sqrt_inv_depth: float,
+    augmentation: Augmentation | None = None, guided: float = 0.0,
+) -> GuidedBatch:  # fmt: skip
     """Random pairs of random walks.
 
     Args:
-        pool: of walks, see :mod:`omnisyn_cli.training.walks`.
-        rng: random numbers.
+        pool: of walks.
+        rng: decides everything.
         pairs: how many.
-        size: ``(height, width)``, a whole fraction of the pool's.
+        size: ``(height, width)``, a whole fraction of the pool's; InputError: it is none.
         max_sqrt_inv_depth: that targets are clipped to.
         augmentation: of colours; without one, nothing is varied and poses are exact.
         guided: share of the pairs that are shown with what matching says.
-
-    Raises:
-        InputError: the pool's size is not a multiple of ``size``.
     """
-    drawn = [_draw_pair(draw_walk(pool, rng, size[0]), rng, size, augmentation, guided) for _ in range(pairs)]
-    colours = np.stack([pair.colours for pair in drawn])
-    sqrt_inv_depth = np.sqrt(np.stack([pair.inverse_depth for pair in drawn])).clip(max=max_sqrt_inv_depth)
-    return GuidedBatch(
-        first=as_tensor(colours[:, 0]),
-        second=as_tensor(colours[:, 1]),
-        towards=torch.tensor(np.stack([pair.towards for pair in drawn]), dtype=torch.float32)[..., None, None],
-        guidance=torch.from_numpy(np.stack([pair.guidance for pair in drawn])),
-        unmatched=torch.from_numpy(np.stack([pair.unmatched for pair in drawn])).unsqueeze(1),
-        sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
-        ratio=torch.tensor([pair.ratio for pair in drawn]),
-        is_mesh=torch.tensor([bool(pair.is_mesh) for pair in drawn]),
-    )
+    walks = (draw_walk(pool, rng, size[0]) for _ in range(pairs))
+    return stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
 
 
-def _draw_pair(
-    walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None, guided: float
-) -> _Pair:
+def _pair(
+    walk: Walk, rng: np.random.Generator, size: tuple[int, int], most: float, augmentation: Augmentation | None,
+    guided: float,
+) -> GuidedBatch:  # fmt: skip
     is_guided = len(walk.pairs) > 0 and rng.random() < guided
     first, second, ratio = _choose(walk, rng, is_guided)
     images, inverse_depth = walk.images[[first, second]], walk.inverse_depth[[first]]
@@ -158,9 +136,17 @@ def _draw_pair(
     guidance = np.zeros((GUIDANCE_CHANNELS, *matching.shape[1:]), np.float32)
     if is_guided:
         guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
-    has_matching = np.float32(bool(matching.any()))
-    inverse_depth = at_block_centres(inverse_depth * np.float32(baseline), size)
-    return _Pair(colours, inverse_depth, towards, guidance, unmatched * has_matching, ratio, walk.is_mesh)
+    sqrt_inv_depth = np.sqrt(at_block_centres(inverse_depth * np.float32(baseline), size)).clip(max=most)
+    return GuidedBatch(
+        first=colours[0].transpose(2, 0, 1),
+        second=colours[1].transpose(2, 0, 1),
+        towards=towards.astype(np.float32)[:, None, None],
+        guidance=guidance,
+        unmatched=unmatched[None] * np.float32(bool(matching.any())),
+        sqrt_inv_depth=sqrt_inv_depth.astype(np.float32)[None],
+        ratio=np.float32(ratio),
+        is_mesh=np.bool_(walk.is_mesh),
+    )
 
 
 def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray, "4 rows cols"]:
@@ -231,20 +217,15 @@ def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor
     unmatched = functional.interpolate(batch.unmatched, size=target.shape[-2:], mode="nearest")
     weight = known * polar_weights(target) * (1.0 + RELATIVE_WEIGHT / (RELATIVE_FLOOR + target))
     weight = weight * (1.0 + UNMATCHED_WEIGHT * unmatched)
-    error = _signed_error(prediction.estimate, target)
+    error = signed_error(prediction.estimate, target)
     loss = _weighted_mean(error.abs(), weight) + GRADIENT_WEIGHT * _gradient_error(error, known)
     for coarse in prediction.coarse:
         stride = target.shape[-1] // coarse.shape[-1]
         thin = (..., slice(stride // 2, None, stride), slice(stride // 2, None, stride))
         share = COARSE_WEIGHT / len(prediction.coarse)
-        loss = loss + share * _weighted_mean(_signed_error(coarse, target[thin]).abs(), weight[thin])
+        loss = loss + share * _weighted_mean(signed_error(coarse, target[thin]).abs(), weight[thin])
     log_loss = error.detach().abs() * torch.exp(-prediction.log_scale) + prediction.log_scale
     return loss + SCALE_WEIGHT * _weighted_mean(log_loss, known * polar_weights(target))
-
-
-def _signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
-    """An estimate below zero is right where nothing is there."""
-    return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
 
 
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
@@ -286,7 +267,7 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
         return float(_weighted_mean((ratio < factor).float(), judged))
 
     figures = {
-        "error": float(_weighted_mean(_signed_error(prediction.estimate, target).abs(), area)),
+        "error": float(_weighted_mean(signed_error(prediction.estimate, target).abs(), area)),
         "delta_25": within(1.25),
         "delta_5": within(1.05),
     }

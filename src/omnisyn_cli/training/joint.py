@@ -37,7 +37,7 @@ from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, network_inputs
 from omnisyn_cli.training.losses import depth_scores, paper_loss
 from omnisyn_cli.training.pairs import Triples, swap_cameras
-from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
+from omnisyn_cli.training.pictures import as_array, depth_pictures
 
 FUSION_WEIGHT = 1.0
 """Weight of the picture's loss beside that of the depth: both count the same."""
@@ -150,9 +150,15 @@ def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:
 
 def joint_pictures(answer: JointAnswer, triples: Triples) -> dict[str, np.ndarray]:
     """The first panorama's depth, both renderings, and the picture made of them."""
+    colours = {
+        "first": answer.channels[0, channel.FIRST_RGB :][:3],
+        "second": answer.channels[0, channel.SECOND_RGB :][:3],
+        "fused": answer.picture[0],
+        "between": triples.middle[0],
+    }
     sqrt_inv_depth = answer.prediction.inverse_depth[0, 0].sqrt()
-    shown = depth_pictures(*(as_array(x) for x in (triples.first[0], sqrt_inv_depth, triples.sqrt_inv_depths[0, 0, 0])))
-    return shown | fused_pictures(answer.channels[0], answer.picture[0], triples.middle[0])
+    shown = depth_pictures(triples.first[0], sqrt_inv_depth, triples.sqrt_inv_depth[0, 0])
+    return shown | {name: as_array(picture.clamp(0.0, 1.0)) for name, picture in colours.items()}
 
 
 def channels_between(

@@ -25,8 +25,7 @@ from omnisyn_cli.training.checkpoint import compact, load_state, of_this_version
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
 from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
-from omnisyn_cli.training.task import HELD_OUT_LOSS, TrainConfig, on_device
-from omnisyn_cli.training.tasks import TASKS, NetworkConfig, task_of
+from omnisyn_cli.training.tasks import HELD_OUT_LOSS, TASKS, NetworkConfig, TrainConfig, on_device, task_of
 
 CHECKPOINT, BEST_CHECKPOINT, LOG = "checkpoint.pt", "best.pt", "log.jsonl"
 """Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation."""
@@ -96,18 +95,12 @@ class Trainer:
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
-        if all(state["training"].get(name) == now for name, now in self._judged_by().items()):
+        now = asdict(self.config)  # held-out losses can be compared if nothing has changed but the weights
+        if all(state["training"].get(name) == now[name] for name in ("validation_pool", "size", "validation_pairs")):
             self.best = state.get("best", math.inf)
 
-    def _judged_by(self) -> dict[str, Any]:
-        """What held-out losses depend on besides the weights, as a checkpoint has it."""
-        return {name: asdict(self.config)[name] for name in ("validation_pool", "size", "validation_pairs")}
-
     def begin_with(self, weights: Mapping[str, torch.Tensor]) -> None:
-        """Before the first step: some of the weights, by name, instead of random ones.
-
-        Raises ValueError: the network has no weights of these names.
-        """
+        """Before the first step: some of the weights, by name, instead of random ones; ValueError: unknown names."""
         unknown = self.network.load_state_dict(weights, strict=False).unexpected_keys
         if unknown:
             raise ValueError(f"expected weights that the network has, got {', '.join(unknown)}")
@@ -177,9 +170,9 @@ class Trainer:
             self.average[name].lerp_(value, 1.0 - decay)
 
     def surpasses(self, loss: float) -> bool:
-        """Whether the loss of what networks are judged by is the least so far, which is remembered then.
+        """Whether what networks are judged by is the least so far, which is remembered then.
 
-        Raises TrainingError: it is far above the least: the run has collapsed, and would not recover.
+        Raises TrainingError: it is far above the least; the run has collapsed and would not recover.
         """
         if not loss <= COLLAPSE_LOSS_RATIO * self.best:
             raise TrainingError(

@@ -119,7 +119,7 @@ def completion_loss(
     expected = (log_probability.exp() * errors).sum(dim=1, keepdim=True)
     likelier = prediction.sqrt_inv_depth()
     error = (expected + _clamped_error(likelier, target) + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
-    gradients, edges = (term(likelier, target, known) for term in (_gradient_error, _edge_error))
+    gradients, edges = _gradient_and_edge_error(likelier, target, known)
     confidence = (_confidence_loss(prediction, target) * area).mean()
     return error.mean() + GRADIENT_WEIGHT * gradients + EDGE_WEIGHT * edges + CONFIDENCE_WEIGHT * confidence
 
@@ -134,24 +134,25 @@ def _silhouette_mask(target: Tensor) -> Tensor:
     return (greatest + least > MIN_EDGE_STEP).to(target.dtype)
 
 
+def signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
+    """An estimate below zero is right where the target is zero: nothing is there."""
+    return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
+
+
 def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
-    """Absolute error; an estimate below zero is right where the target is zero."""
-    return torch.where(target > 0, (sqrt_inv_depth - target).abs(), sqrt_inv_depth.clamp(min=0.0))
+    return signed_error(sqrt_inv_depth, target).abs()
 
 
-def _gradient_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
-    """L1 of the differences of neighbours, with edges of the target forgiven.
+def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """L1 of the differences of neighbours, on surfaces, and over all pixels where the target jumps.
 
-    Where the target jumps by more than a tenth the position of the edge is left to the plain L1.
+    Where it jumps by more than a tenth the position of the edge is left to the plain L1.
     """
-    steps = _neighbour_step_errors(sqrt_inv_depth, target, known)
-    return torch.stack([_masked_mean(error * ~is_edge, both_known) for error, is_edge, both_known in steps]).sum()
-
-
-def _edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
-    """L1 of the differences of neighbours where the target jumps, over all pixels."""
-    steps = _neighbour_step_errors(sqrt_inv_depth, target, known)
-    return torch.stack([(error * is_edge * both_known).mean() for error, is_edge, both_known in steps]).sum()
+    gradients, edges = [], []
+    for error, is_edge, both_known in _neighbour_step_errors(sqrt_inv_depth, target, known):
+        gradients.append(_masked_mean(error * ~is_edge, both_known))
+        edges.append((error * is_edge * both_known).mean())
+    return torch.stack(gradients).sum(), torch.stack(edges).sum()
 
 
 def _neighbour_step_errors(

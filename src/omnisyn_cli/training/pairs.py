@@ -18,7 +18,16 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import forward_frame, swap_cameras_in_forward_frame
-from omnisyn_cli.training.data import Augmentation, Walk, as_tensor, at_block_centres, draw_walk, reduced, vary_colours
+from omnisyn_cli.training.data import (
+    Array,
+    Augmentation,
+    Walk,
+    at_block_centres,
+    draw_walk,
+    reduced,
+    stacked,
+    vary_colours,
+)
 
 MAX_SURFACE_STEP = 0.05
 """Relative difference of interpolated and nearest depth up to which both are of one surface."""
@@ -26,7 +35,7 @@ MAX_SURFACE_STEP = 0.05
 
 @dataclass(frozen=True)
 class Batch:
-    """Pairs for one step.
+    """Pairs for one step, as tensors; one of them, without the first axis, as arrays.
 
     Attributes:
         first, second: colours in [0, 1] for the depth network.
@@ -34,10 +43,10 @@ class Batch:
         baseline: metres.
     """
 
-    first: Float[Tensor, "batch 3 height width"]
-    second: Float[Tensor, "batch 3 height width"]
-    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
-    baseline: Float[Tensor, " batch"]
+    first: Float[Array, "*batch 3 height width"]
+    second: Float[Array, "*batch 3 height width"]
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]
+    baseline: Float[Array, "*batch"]
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
@@ -56,11 +65,11 @@ class Triples(Batch):
         position: of the way from the first to the second that it was taken at.
     """
 
-    first_texture: Float[Tensor, "batch 3 height width"]
-    second_texture: Float[Tensor, "batch 3 height width"]
-    second_sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
-    middle: Float[Tensor, "batch 3 height width"]
-    position: Float[Tensor, " batch"]
+    first_texture: Float[Array, "*batch 3 height width"]
+    second_texture: Float[Array, "*batch 3 height width"]
+    second_sqrt_inv_depth: Float[Array, "*batch 1 height width"]
+    middle: Float[Array, "*batch 3 height width"]
+    position: Float[Array, "*batch"]
 
     @property
     def sqrt_inv_depths(self) -> Float[Tensor, "2 batch 1 height width"]:
@@ -92,7 +101,8 @@ def draw_pairs(
 
     Raises InputError: the pool's size is not a multiple of ``size``.
     """
-    return Batch(**_drawn(pool, rng, batch, size, augmentation, max_sqrt_inv_depth, views=2))
+    walks = (draw_walk(pool, rng, size[0]) for _ in range(batch))
+    return stacked([Batch(**_pair(walk, 2, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
 
 
 def draw_triples(
@@ -100,24 +110,15 @@ def draw_triples(
     augmentation: Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
 ) -> Triples:  # fmt: skip
     """As :func:`draw_pairs`, with the view between; InputError as well if a walk has fewer than three views."""
-    return Triples(**_drawn(pool, rng, batch, size, augmentation, max_sqrt_inv_depth, views=3))
+    walks = (draw_walk(pool, rng, size[0], 3) for _ in range(batch))
+    return stacked([Triples(**_pair(walk, 3, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
 
 
-def _drawn(
-    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int], augmentation: Augmentation | None,
-    most: float, *, views: int,
-) -> dict[str, Tensor]:  # fmt: skip
-    """The fields of a batch, by name."""
-    drawn = [_draw(draw_walk(pool, rng, size[0], views), views, rng, size, augmentation) for _ in range(batch)]
-    stacked = {name: np.stack([sample[name] for sample in drawn]).astype(np.float32) for name in drawn[0]}
-    made = {name: as_tensor(x) if x.ndim == 4 else torch.from_numpy(x) for name, x in stacked.items()}
-    return made | {name: x.unsqueeze(1).clamp(max=most) for name, x in made.items() if name.endswith("sqrt_inv_depth")}
-
-
-def _draw(
-    walk: Walk, views: int, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
-) -> dict[str, Any]:
-    """One sample; what of :class:`Triples` two views do not have is left out."""
+def _pair(
+    walk: Walk, views: int, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None,
+    most: float,
+) -> dict[str, Any]:  # fmt: skip
+    """The fields of :class:`Batch`, and of three views those of :class:`Triples`."""
     images, inverse_depths, positions = _ordered_views(walk, views, rng)
     first, last = (Pose(np.eye(3), position) for position in positions[[0, -1]])
     frame, _, baseline = forward_frame(first, last)
@@ -127,21 +128,25 @@ def _draw(
     shown = textures = np.stack([reduced(image, whole) for image in colours[[0, -1]]])
     if augmentation is not None:
         shown = vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
-    depths = [np.sqrt(at_block_centres(one, whole) * baseline) for one in inverse_depths[[0, -1]]]
+    depths = [
+        turned_depth(np.sqrt(at_block_centres(each, whole) * baseline).clip(max=most), frame.rotation, size)
+        for each in inverse_depths[[0, -1]]
+    ]
+    pictures = [turned_image(image, frame.rotation, size).transpose(2, 0, 1) for image in (*shown, *textures)]
     pair = {
-        "first": turned_image(shown[0], frame.rotation, size),
-        "second": turned_image(shown[1], frame.rotation, size),
-        "sqrt_inv_depth": turned_depth(depths[0], frame.rotation, size),
+        "first": pictures[0],
+        "second": pictures[1],
+        "sqrt_inv_depth": depths[0][None],
         "baseline": np.float32(baseline),
     }
     if views == 2:
         return pair
     return pair | {
-        "first_texture": turned_image(textures[0], frame.rotation, size),
-        "second_texture": turned_image(textures[1], frame.rotation, size),
-        "second_sqrt_inv_depth": swap_cameras_in_forward_frame(turned_depth(depths[1], frame.rotation, size)),
-        "middle": turned_image(colours[1], frame.rotation, size),
-        "position": np.linalg.norm(positions[1] - positions[0]) / baseline,
+        "first_texture": pictures[2],
+        "second_texture": pictures[3],
+        "second_sqrt_inv_depth": swap_cameras_in_forward_frame(depths[1])[None],
+        "middle": turned_image(colours[1], frame.rotation, size).transpose(2, 0, 1),
+        "position": np.float32(np.linalg.norm(positions[1] - positions[0]) / baseline),
     }
 
 

@@ -37,9 +37,7 @@ class Precision:
 
 
 def choose_precision(device: str = "auto") -> Precision:
-    """What to train with.
-
-    bfloat16 has the range of single precision, so no loss needs scaling.
+    """What to train with; bfloat16 has the range of single precision, so no loss needs scaling.
 
     Args:
         device: one of :data:`DEVICES`; ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it
@@ -52,9 +50,7 @@ def choose_precision(device: str = "auto") -> Precision:
     has_cuda = torch.cuda.is_available()
     if device == "cuda" and not has_cuda:
         raise InputError("expected a CUDA GPU and a torch that can use it, got none; use --device cpu")
-    if device == "cpu":
-        return Precision(torch.device("cpu"))
-    if has_cuda:
+    if device != "cpu" and has_cuda:
         return Precision(torch.device("cuda"), is_half=torch.cuda.is_bf16_supported())
-    multiplies = any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
+    multiplies = device == "auto" and any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
     return Precision(torch.device("cpu"), is_half=multiplies)

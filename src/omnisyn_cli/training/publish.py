@@ -17,8 +17,7 @@ from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, r
 from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.synsin import blend_points, draw_views
-from omnisyn_cli.training.task import Task, TrainConfig
-from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
+from omnisyn_cli.training.tasks import TASKS, Task, TrainConfig, parts_of, role_of
 
 COMPARED_EXAMPLES = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
@@ -74,36 +73,28 @@ def publish(
     for part in parts:
         check_output(folder / f"{part.name}.onnx", overwrite)
     with staged_folder(folder, overwrite=overwrite) as staged:
-        differences = [_exported(part, staged / f"{part.name}.onnx") for part in parts]
+        differences = []
+        for part in parts:
+            file = staged / f"{part.name}.onnx"
+            export_network(part.network, file)
+            differences.append(largest_difference(part.network, file, part.examples))
         if not max(differences) <= PARITY:
             raise OmnisynError(
                 f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported: "
                 "train it longer, weights of the first steps may answer with nothing but rounding"
             )
-    entries = [_entry(part, folder / f"{part.name}.onnx", state, training, licence) for part in parts]
+    training, scores = training or f"{state['step']} steps", state.get("scores", {})
+    entries = []
+    for part in parts:
+        file = folder / f"{part.name}.onnx"
+        count = sum(parameter.numel() for parameter in part.network.parameters())
+        entry = ModelEntry(
+            part.name, part.role, variant=part.network.config.name, file=file.name, sha256=sha256_of(file),
+            size=part.size, parameters=count, training=training, licence=licence, metrics=scores,
+        )  # fmt: skip
+        entries.append(entry)
     write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
     return list(zip(entries, differences, strict=True))
-
-
-def _entry(part: _Part, path: Path, state: Mapping[str, Any], training: str, licence: str) -> ModelEntry:
-    """What the manifest says about an exported network."""
-    return ModelEntry(
-        name=part.name,
-        role=part.role,
-        variant=part.network.config.name,
-        file=path.name,
-        sha256=sha256_of(path),
-        size=part.size,
-        parameters=sum(parameter.numel() for parameter in part.network.parameters()),
-        training=training or f"{state['step']} steps",
-        licence=licence,
-        metrics=state.get("scores", {}),
-    )
-
-
-def _exported(part: _Part, path: Path) -> float:
-    export_network(part.network, path)
-    return largest_difference(part.network, path, part.examples)
 
 
 def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:

@@ -26,8 +26,7 @@ from omnisyn_cli.training.data import save_samples
 from omnisyn_cli.training.loop import CHECKPOINT, PROCESSOR, Trainer, run, state_of
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.scene_makers import scene_path
-from omnisyn_cli.training.task import TrainConfig
-from omnisyn_cli.training.tasks import TASKS
+from omnisyn_cli.training.tasks import TASKS, TrainConfig
 from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk
 
 KIND = "guided"

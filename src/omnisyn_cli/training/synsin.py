@@ -195,13 +195,6 @@ def synsin_pictures(made: SynSinPrediction, samples: Sequence[ViewSample]) -> di
     """The truth, the pictures from one panorama and from both, the depth of the first, of :func:`load_views`."""
     one, two = (as_array(picture.clamp(0.0, 1.0)) for picture in made.pictures)
     first = samples[0]
-    found = made.inverse_depth()[0, 0].sqrt()
-    depth = depth_pictures(as_array(first.images[0]), as_array(found), as_array(first.sqrt_inv_depths[0, 0]))
-    return {
-        "input": depth["input"],
-        "aim": as_array(first.truth),
-        "one view": one,
-        "two views": two,
-        "depth": depth["prediction"],
-        "true depth": depth["truth"],
-    }
+    depth = depth_pictures(first.images[0], made.inverse_depth()[0, 0].sqrt(), first.sqrt_inv_depths[0, 0])
+    shown = {"input": depth["input"], "aim": as_array(first.truth), "one view": one, "two views": two}
+    return shown | {"depth": depth["prediction"], "true depth": depth["truth"]}

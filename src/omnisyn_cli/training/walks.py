@@ -50,11 +50,7 @@ class MeshSource:
     held_out: tuple[str, ...] = ()
 
     def paths(self, *, is_held_out: bool) -> list[Path]:
-        """The files to learn from, or those that are held out.
-
-        Raises:
-            InputError: there are none, or a name that is held out or scaled is of none.
-        """
+        """The files to learn from, or those held out; InputError: none, or a held-out or scaled name is of none."""
         found = list_meshes(Path(self.folder))
         for name in (*self.held_out, *self.scales):
             if not any(name in _names(path) for path in found):
@@ -108,11 +104,7 @@ class WalkConfig(SceneConfig):
 
 
 def make_walk(seed: int, config: WalkConfig) -> Walk:
-    """The walk of a seed.
-
-    Raises:
-        InputError: there is no room for one, whatever is tried.
-    """
+    """The walk of a seed; InputError: there is no room for one, whatever is tried."""
     kind = config.kinds[seed % len(config.kinds)]
     make = _mesh_walk if kind == MESH else _procedural_walk
     for attempt in range(ATTEMPTS):
@@ -133,13 +125,7 @@ def make_walk_file(folder: Path, seed: int, config: WalkConfig) -> Path | None:
 
 
 def matched_walk(walk: Walk, rng: np.random.Generator, *, is_exact: bool) -> Walk:
-    """A walk with what matching says of some of its pairs.
-
-    Args:
-        walk: without.
-        rng: which pairs, and what is not quite right in them.
-        is_exact: whether colours and poses are as they are.
-    """
+    """With what matching says of some pairs, which ``rng`` chooses; exact: with colours and poses as they are."""
     pairs, found = list[tuple[int, int]](), []
     for first, second in views_to_match(baseline_ratios(walk.inverse_depth, walk.positions), rng):
         motion = walk.positions[second].astype(np.float64) - walk.positions[first]
@@ -167,14 +153,13 @@ def _procedural_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> 
         return None
     scene, path = found
     between = np.sort(rng.choice(np.arange(1, PATH_STOPS - 1), config.views - 2, replace=False))
-    positions = [path[0].position, *(path[k].position for k in between), path[-1].position]
     rotation, error = rotation_from_heading(rng.uniform(-np.pi, np.pi)), config.pose_error(rng)
-    views = []
-    for position in positions:
-        held = rotation_from_rotation_vector(error * rng.standard_normal(3)) @ rotation
-        pose = Pose(held, position)
-        views.append(render_panorama(scene, pose, config.size, supersample=config.supersample, threads=1))
-    return _walk(views, positions, rotation, is_mesh=False)
+    poses = [
+        Pose(rotation_from_rotation_vector(error * rng.standard_normal(3)) @ rotation, path[k].position)
+        for k in (0, *between, PATH_STOPS - 1)
+    ]
+    views = [render_panorama(scene, pose, config.size, supersample=config.supersample, threads=1) for pose in poses]
+    return _walk(views, poses, rotation, is_mesh=False)
 
 
 def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk | None:
@@ -202,19 +187,16 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
 def mesh_walk(scene: MeshScene, poses: Sequence[Pose], size: tuple[int, int], supersample: int) -> Walk:
     """A mesh seen from poses that share a rotation."""
     views = [render_mesh(scene, pose, size, supersample=supersample) for pose in poses]
-    return _walk(views, [pose.position for pose in poses], poses[0].rotation, is_mesh=True)
+    return _walk(views, poses, poses[0].rotation, is_mesh=True)
 
 
 def _walk(
-    views: Sequence[tuple[np.ndarray, np.ndarray]],
-    positions: Sequence[np.ndarray],
-    rotation: np.ndarray,
-    *,
-    is_mesh: bool,
+    views: Sequence[tuple[np.ndarray, np.ndarray]], poses: Sequence[Pose], rotation: np.ndarray, *, is_mesh: bool
 ) -> Walk:
     """Of renderings; positions are turned into the frame of the cameras, so that all have heading 0."""
-    images, inverse_depths = zip(*((image, 1.0 / np.maximum(depth, 1e-3)) for image, depth in views), strict=True)
-    return walk_of(images, inverse_depths, (np.stack(positions) - positions[0]) @ rotation, is_mesh=is_mesh)
+    images, depths = zip(*views, strict=True)
+    placed = [(pose.position - poses[0].position) @ rotation for pose in poses]
+    return walk_of(images, [1.0 / np.maximum(depth, 1e-3) for depth in depths], placed, is_mesh=is_mesh)
 
 
 @lru_cache(maxsize=2)
