@@ -1,12 +1,7 @@
 """Training data for the completion network: what matching makes of procedural scenes, with the truth beside it.
 
-A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
-for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
-
-* ``channels_k`` ``(channels, height, width)`` float16, see
-  :func:`omnisyn_cli.stereo.stereo_features.completion_channels`,
-* ``sqrt_inv_depth_k`` ``(1, height, width)`` float16, true √(inverse depth × baseline),
-* ``baseline_k`` metres.
+A scene is seen from three places on a line, upright but for small tilts, each with a heading of its own; two of the
+pairs are matched, both ways. Arrays are stored in half precision.
 
 The colours are varied before matching, and some poses are a little wrong, as in life. The truth is that of the centres
 of pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
@@ -37,17 +32,11 @@ COLOUR_CHANNELS = (0, 8, 11)
 
 @dataclass(frozen=True)
 class FeatureBatch:
-    """Stereo features of panoramas and the truth, as tensors; those of one, without the first axis, as arrays.
+    """Stereo features of panoramas and the truth, as tensors; those of one, without the first axis, as arrays."""
 
-    Attributes:
-        channels: see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
-        sqrt_inv_depth: true √(inverse depth × baseline); NaN where it is not known.
-        baseline: metres.
-    """
-
-    channels: Float[Array, "*batch channels height width"]
-    sqrt_inv_depth: Float[Array, "*batch 1 height width"]
-    baseline: Float[Array, "*batch"]
+    channels: Float[Array, "*batch channels height width"]  # see stereo_features
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # true √(inverse depth × baseline); NaN where it is not known
+    baseline: Float[Array, "*batch"]  # metres
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
@@ -94,16 +83,9 @@ def _match_pair(
 def draw_completion(
     pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], *, augment: bool
 ) -> FeatureBatch:
-    """Random pairs of random scenes, each of two samples, turned and mirrored at random.
+    """Random pairs of random scenes, each of two samples, turned and mirrored at random, with colours varied or not.
 
-    Args:
-        pool: of scenes.
-        rng: random numbers.
-        pairs: how many.
-        size: ``(height, width)``, that of the pool or half of it: things look larger there.
-        augment: whether colours are varied as well, all pictures of a pair alike.
-
-    Raises InputError: the pool is of another size.
+    ``size`` is ``(height, width)`` of the pool or half of it, where things look larger; InputError: it is neither.
     """
     return stacked([sample for _ in range(pairs) for sample in _draw_pair(pool, rng, size, augment=augment)])
 

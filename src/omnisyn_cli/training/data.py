@@ -39,21 +39,14 @@ MAX_SURFACE_STEP = 0.1
 class Walk:
     """Upright panoramas of one scene with one heading, along a straight line; any two of them are a stereo pair.
 
-    Floats but for positions are stored in half precision.
-
-    Attributes:
-        images: colours, eight bits.
-        inverse_depth: 1/metre, 0 = nothing there, NaN = not known.
-        positions: metres, y up, −z ahead, in the order of the line.
-        is_mesh: whether the scene is a mesh.
-        pairs: views that were matched, both ways round.
-        matching: a quarter of the size; what matching says of the first of two, turned so that the other camera is
-            ahead, see :mod:`omnisyn_cli.training.pair_matching`.
+    Some pairs were matched, both ways round, at a quarter of the size: what matching says of the first of two, turned
+    so that the other camera is ahead, see :mod:`omnisyn_cli.training.pair_matching`. Floats but for positions are
+    stored in half precision.
     """
 
     images: UInt8[np.ndarray, "views height width 3"]
-    inverse_depth: Float[np.ndarray, "views height width"]
-    positions: Float32[np.ndarray, "views 3"]
+    inverse_depth: Float[np.ndarray, "views height width"]  # 1/metre, 0 = nothing there, NaN = not known
+    positions: Float32[np.ndarray, "views 3"]  # metres, y up, −z ahead, in the order of the line
     is_mesh: bool = False
     pairs: Int8[np.ndarray, "pairs 2"] = field(default_factory=lambda: np.zeros((0, 2), np.int8))
     matching: Float[np.ndarray, "pairs 4 rows cols"] = field(default_factory=lambda: np.zeros((0, 4, 1, 2), np.float16))
@@ -61,23 +54,14 @@ class Walk:
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far the colours of a pair are varied; ranges are half widths around "unchanged".
+    """How far the colours of a pair are varied; ranges are half widths around "unchanged"."""
 
-    Attributes:
-        exposure: common factor of both panoramas.
-        relative: factor of one panorama and channel against the other (exposure and white balance).
-        gamma: common exponent.
-        noise: greatest standard deviation.
-        blur: chance that one panorama is blurred.
-        jpeg: chance that one panorama went through JPEG.
-    """
-
-    exposure: float = 0.35
-    relative: float = 0.08
-    gamma: float = 0.3
-    noise: float = 0.025
-    blur: float = 0.15
-    jpeg: float = 0.3
+    exposure: float = 0.35  # common factor of both panoramas
+    relative: float = 0.08  # factor of one panorama and channel against the other (exposure and white balance)
+    gamma: float = 0.3  # common exponent
+    noise: float = 0.025  # greatest standard deviation
+    blur: float = 0.15  # chance that one panorama is blurred
+    jpeg: float = 0.3  # chance that one panorama went through JPEG
 
 
 def save_samples(path: Path, samples: Sequence[Any]) -> None:

@@ -1,18 +1,9 @@
 """Training data for the fusion network: renderings as the program makes them, and the truth.
 
-A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a straight way through the scene are
-photographed, their depth is estimated or, for a few, known, both surfaces are rendered from positions in between. For
-each position ``k``:
-
-* ``channels_k`` ``(channels, height, width)`` float16, see :mod:`omnisyn_cli.fusion.input_channels` and
-  :mod:`omnisyn_cli.fusion.warp_candidates`,
-* ``pictures_k`` ``(15, rows, cols)`` float16, at twice the size of the pool: the geometric fusion, then the four
-  backward-warped candidates,
-* ``truth_k`` ``(3, rows, cols)`` float16, the scene as it is seen from there, in [0, 1],
-* ``fused_error_k``, the mean squared error of the geometric fusion.
-
-Photographs and renderings are made at twice that size again. Every position is stored for a network at the size
-of the pool and, from 128 rows on, for one at half of it, since frames of several sizes are corrected; their order is
+The ends of a straight way through a scene are photographed, their depth is estimated or, for a few, known, both
+surfaces are rendered from positions in between. Pictures are stored at twice the size of the pool; photographs and
+renderings are made at twice that size again. Every position is stored, in half precision, for a network at the size of
+the pool and, from 128 rows on, for one at half of it, since frames of several sizes are corrected; their order is
 random. Networks that paint frames see one size. Some poses are a little wrong, as in life.
 
 Instead of new scenes a pool may show walks that were made before, see :mod:`omnisyn_cli.training.walks`: their ends are
@@ -100,25 +91,15 @@ SIGNED_CHANNELS = (channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POS
 
 @dataclass(frozen=True)
 class FusionSceneConfig(TiltedConfig):
-    """How scenes are rendered.
+    """How scenes are rendered."""
 
-    Attributes:
-        views_between: per scene.
-        position_range: shares of the way between which they lie.
-        preset: whose depth and renderer they are made with.
-        matched_share: share of scenes whose depth comes from matching alone instead.
-        known_share: share of scenes whose depth is the true one.
-        rows: that depth is looked for at.
-        walks: files of walks to show, the seed's in turn; none makes scenes.
-    """
-
-    views_between: int = 3
-    position_range: tuple[float, float] = (0.1, 0.9)
-    preset: str = DEFAULT_PRESET
-    matched_share: float = 0.1
-    known_share: float = 0.1
-    rows: int = 1024
-    walks: tuple[Path, ...] = ()
+    views_between: int = 3  # per scene
+    position_range: tuple[float, float] = (0.1, 0.9)  # shares of the way between which they lie
+    preset: str = DEFAULT_PRESET  # whose depth and renderer they are made with
+    matched_share: float = 0.1  # share of scenes whose depth comes from matching alone instead
+    known_share: float = 0.1  # share of scenes whose depth is the true one
+    rows: int = 1024  # that depth is looked for at
+    walks: tuple[Path, ...] = ()  # files of walks to show, the seed's in turn; none makes scenes
     size: tuple[int, int] = (128, 256)
 
     @property
@@ -129,28 +110,18 @@ class FusionSceneConfig(TiltedConfig):
 
 @dataclass(frozen=True)
 class FusionBatch:
-    """Positions, or some of their columns, for one step, as tensors; one, without the first axis, as arrays.
+    """Positions, or some of their columns, for one step, as tensors; one, without the first axis, as arrays."""
 
-    Attributes:
-        channels: network inputs.
-        pictures: the fused picture with its candidates.
-        truth: what is to be seen.
-        fused_error: squared error of the fused picture.
-    """
-
-    channels: Float[Array, "*batch channels height width"]
-    pictures: Float[Array, "*batch 15 rows cols"]
-    truth: Float[Array, "*batch 3 rows cols"]
-    fused_error: Float[Array, "*batch"]
+    channels: Float[Array, "*batch channels height width"]  # network inputs
+    pictures: Float[Array, "*batch 15 rows cols"]  # the fused picture with its candidates
+    truth: Float[Array, "*batch 3 rows cols"]  # what is to be seen
+    fused_error: Float[Array, "*batch"]  # squared error of the fused picture
 
 
 class _RecordingFuser(ResidualFuser):
-    """Fuses by rules, and keeps what networks that look at several sizes would be shown and would choose from.
+    """Fuses by rules, and keeps what networks of several heights would be shown and would choose from.
 
-    Args:
-        size: height and width of the frames.
-        heights: that networks look at; those that frames are too small for, or it, say nothing.
-        stored_size: height and width of the pictures that are kept.
+    Heights that frames are too small for say nothing. Pictures are kept at ``stored_size``.
     """
 
     def __init__(self, size: tuple[int, int], heights: Sequence[int], stored_size: tuple[int, int]) -> None:
@@ -191,8 +162,7 @@ def downsample_channels_first(
 def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Path | None:
     """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided.
 
-    Raises:
-        InputError: its walk has pictures of another size.
+    Raises InputError: its walk has pictures of another size.
     """
     rng = np.random.default_rng([23, seed])
     run_config = replace(PRESETS[config.preset].config, depth=_depth_source(rng.random(), config))
@@ -270,8 +240,8 @@ def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) 
             truth = downsample_channels_first(pair.truth(k), stored_size)
             for channels, pictures in fuser.seen:
                 error = mean_over_sphere(np.square(pictures[:3] - truth).transpose(1, 2, 0))
-                half, error = np.float16, np.asarray(error, np.float32)
-                yield FusionBatch(channels.astype(half), pictures.astype(half), truth.astype(half), error)
+                half, squared = np.float16, np.asarray(error, np.float32)
+                yield FusionBatch(channels.astype(half), pictures.astype(half), truth.astype(half), squared)
 
 
 def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:

@@ -20,25 +20,14 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
-from omnisyn_cli.training.data import (
-    Array,
-    Augmentation,
-    Walk,
-    at_block_centres,
-    draw_walk,
-    reduced,
-    stacked,
-    vary_colours,
-)
+from omnisyn_cli.training import data
+from omnisyn_cli.training.data import Array, Augmentation, Walk
 from omnisyn_cli.training.losses import polar_weights, signed_error
 from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.walks import baseline_ratios
 
-MAX_BASELINE_RATIO = 2.5
-"""Baselines over median depth above this are not drawn."""
-
-MIN_BASELINE_RATIO = 0.03
-"""Baselines over median depth below this are not drawn where there are others."""
+MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
+MIN_BASELINE_RATIO = 0.03  # Baselines over median depth below this are not drawn where there are others
 
 TILT_SHARE, TILT = 0.35, 0.03
 """Share of the pairs whose cameras are held askew, and the standard deviation of pitch and roll, radians."""
@@ -49,41 +38,26 @@ CAP_SHARE, CAP_RADII = 0.25, (4.0, 26.0)
 COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
 """Of the loss at coarse scales, of gradients and of the Laplace scale, beside 1. Set by hand."""
 
-GRADIENT_SCALES = 4
-"""Gradients are compared at strides 1, 2, 4, …"""
-
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
 """Errors count more where √(inverse depth × baseline), s, is small: the weight is 1 + weight / (floor + s)."""
 
-UNMATCHED_WEIGHT = 1.0
-"""Errors count more by this where matching found nothing consistent."""
-
-MIN_JUDGED = 0.03
-"""√(inverse depth × baseline) below which nothing is judged by its ratio."""
+GRADIENT_SCALES = 4  # Gradients are compared at strides 1, 2, 4, …
+UNMATCHED_WEIGHT = 1.0  # Errors count more by this where matching found nothing consistent
+MIN_JUDGED = 0.03  # √(inverse depth × baseline) below which nothing is judged by its ratio
 
 
 @dataclass(frozen=True)
 class GuidedBatch:
-    """Pairs for one step, as tensors; one of them, without the first axis, as arrays.
+    """Pairs for one step, as tensors; one of them, without the first axis, as arrays."""
 
-    Attributes:
-        first, second: colours in [0, 1].
-        towards: unit vector to the other camera.
-        guidance: a quarter of the size, see :data:`GUIDANCE_CHANNELS`.
-        unmatched: share that matching left open; 0 where nothing was matched.
-        sqrt_inv_depth: √(inverse depth × baseline); NaN where it is not known.
-        ratio: baseline over median depth.
-        is_mesh: whether the scene is a mesh.
-    """
-
-    first: Float[Array, "*batch 3 height width"]
+    first: Float[Array, "*batch 3 height width"]  # colours in [0, 1]
     second: Float[Array, "*batch 3 height width"]
-    towards: Float[Array, "*batch 3 1 1"]
-    guidance: Float[Array, "*batch 6 rows cols"]
-    unmatched: Float[Array, "*batch 1 rows cols"]
-    sqrt_inv_depth: Float[Array, "*batch 1 height width"]
-    ratio: Float[Array, "*batch"]
-    is_mesh: Bool[Array, "*batch"]
+    towards: Float[Array, "*batch 3 1 1"]  # unit vector to the other camera
+    guidance: Float[Array, "*batch 6 rows cols"]  # a quarter of the size, see GUIDANCE_CHANNELS
+    unmatched: Float[Array, "*batch 1 rows cols"]  # share that matching left open; 0 where nothing was matched
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline); NaN where it is not known
+    ratio: Float[Array, "*batch"]  # baseline over median depth
+    is_mesh: Bool[Array, "*batch"]  # whether the scene is a mesh
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
@@ -95,19 +69,13 @@ def draw_guided(
     pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], max_sqrt_inv_depth: float,
     augmentation: Augmentation | None = None, guided: float = 0.0,
 ) -> GuidedBatch:  # fmt: skip
-    """Random pairs of random walks.
+    """Random pairs of random walks, some of them, as asked for, with guidance: what matching says.
 
-    Args:
-        pool: of walks.
-        rng: decides everything.
-        pairs: how many.
-        size: ``(height, width)``, a whole fraction of the pool's; InputError: it is none.
-        max_sqrt_inv_depth: that targets are clipped to.
-        augmentation: of colours; without one, nothing is varied and poses are exact.
-        guided: share of the pairs that are shown with what matching says.
+    ``size`` is a whole fraction of the pool's; InputError: it is none. Targets are clipped to ``max_sqrt_inv_depth``.
+    Without an augmentation nothing is varied, and poses are exact.
     """
-    walks = (draw_walk(pool, rng, size[0]) for _ in range(pairs))
-    return stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
+    walks = (data.draw_walk(pool, rng, size[0]) for _ in range(pairs))
+    return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
 
 
 def _pair(
@@ -128,15 +96,15 @@ def _pair(
         towards = towards * [-1.0, 1.0, 1.0]
     if augmentation is not None:
         images, inverse_depth, matching, towards = _held_by_hand(images, inverse_depth, matching, towards, rng)
-    colours = np.stack([reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
+    colours = np.stack([data.reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
-        colours = with_cap(vary_colours(colours, rng, augmentation), rng)
+        colours = with_cap(data.vary_colours(colours, rng, augmentation), rng)
     matching = reduced_matching(matching, matching.shape[1] * STRIDE // size[0])
     unmatched = 1.0 - np.minimum(matching[1] + matching[2], 1.0)
     guidance = np.zeros((GUIDANCE_CHANNELS, *matching.shape[1:]), np.float32)
     if is_guided:
         guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
-    sqrt_inv_depth = np.sqrt(at_block_centres(inverse_depth * np.float32(baseline), size)).clip(max=most)
+    sqrt_inv_depth = np.sqrt(data.at_block_centres(inverse_depth * np.float32(baseline), size)).clip(max=most)
     return GuidedBatch(
         first=colours[0].transpose(2, 0, 1),
         second=colours[1].transpose(2, 0, 1),

@@ -80,18 +80,11 @@ class JointConfig:
 
 @dataclass(frozen=True)
 class PairPrediction:
-    """What the depth network says about both panoramas of each pair.
+    """What the depth network says about both panoramas of each pair."""
 
-    Attributes:
-        stacked: the network's own prediction: all first panoramas, then all second ones with swapped cameras
-            (:func:`swap_cameras`).
-        inverse_depth: ``(2, batch, height, width)`` × baseline of the first and of the second, in the pair's frame.
-        confidence: the same of the confidence, without gradients.
-    """
-
-    stacked: PaperPrediction
-    inverse_depth: Float[Tensor, "2 batch height width"]
-    confidence: Float[Tensor, "2 batch height width"]
+    stacked: PaperPrediction  # the network's own: all first panoramas, then all second ones with swapped cameras
+    inverse_depth: Float[Tensor, "2 batch height width"]  # × baseline, of the first and the second, in the pair's frame
+    confidence: Float[Tensor, "2 batch height width"]  # the same of the confidence, without gradients
 
 
 class JointNetwork(nn.Module):
@@ -167,13 +160,9 @@ def channels_between(
     textures: Float[Tensor, "2 batch 3 rows cols"],
     position: Float[Tensor, " batch"],
 ) -> Float[Tensor, "batch channels rows cols"]:
-    """What the fusion network sees of pairs, from places between them.
+    """What the fusion network sees of pairs, from positions (shares of the way) between them.
 
-    Args:
-        inverse_depth: × baseline, of both panoramas; gradients flow to it.
-        confidence: of it, in [0, 1].
-        textures: their colours; gradients flow to them.
-        position: of the way, of each pair.
+    Gradients flow to inverse depth × baseline and to textures, the colours of both panoramas.
     """
     channels = []
     for k, t in enumerate(position.tolist()):

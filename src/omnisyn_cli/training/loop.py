@@ -200,7 +200,7 @@ class Trainer:
         return contact_sheet(pictures) if pictures else None
 
     def end_validation(self, folder: Path, row: dict[str, Any]) -> None:
-        """After the files of every run have been written: scenes that were made meanwhile are learned from as well."""
+        """When a row of the log has been written: scenes that were made meanwhile are learned from as well."""
         self.pool = list_scene_files(Path(self.config.pool), self.task.pool)
 
 
@@ -278,9 +278,10 @@ def _judge(
         make_folder(folder / "pictures", "pictures")
         write_image(folder / "pictures" / f"{trainer.step:08d}.png", sheet)
     report(row)
-    if trainer.surpasses(trainer.scores.get(trainer.judged_by, math.nan)):
-        save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
+    is_best = trainer.surpasses(trainer.scores.get(trainer.judged_by, math.nan))
     trainer.end_validation(folder, row)
+    if is_best:
+        save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
 
 
 def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
@@ -297,18 +298,12 @@ def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
 
 
 def open_trainer(
-    network: NetworkConfig,
-    config: TrainConfig,
-    path: Path,
-    precision: Precision = PROCESSOR,
+    network: NetworkConfig, config: TrainConfig, path: Path, precision: Precision = PROCESSOR,
     weights: Mapping[str, torch.Tensor] | None = None,
-) -> Trainer:
-    """A fresh trainer, with ``weights`` if there are any, or the one of the checkpoint at ``path``.
+) -> Trainer:  # fmt: skip
+    """A fresh trainer, with ``weights`` if there are any, or that of a checkpoint; a cool-down begins there.
 
-    A cool-down asked for begins at its step.
-
-    Raises InputError: the checkpoint is of another version, or of another kind than ``network``, whose data and rate
-        would not suit it.
+    Raises InputError: the checkpoint is of another version, or kind, whose data and rate would not suit it.
     """
     if not path.exists():
         trainer = Trainer(network, config, precision)

@@ -18,16 +18,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import forward_frame, swap_cameras_in_forward_frame
-from omnisyn_cli.training.data import (
-    Array,
-    Augmentation,
-    Walk,
-    at_block_centres,
-    draw_walk,
-    reduced,
-    stacked,
-    vary_colours,
-)
+from omnisyn_cli.training import data
+from omnisyn_cli.training.data import Array, Augmentation, Walk
 
 MAX_SURFACE_STEP = 0.05
 """Relative difference of interpolated and nearest depth up to which both are of one surface."""
@@ -35,18 +27,12 @@ MAX_SURFACE_STEP = 0.05
 
 @dataclass(frozen=True)
 class Batch:
-    """Pairs for one step, as tensors; one of them, without the first axis, as arrays.
+    """Pairs for one step, as tensors; one of them, without the first axis, as arrays."""
 
-    Attributes:
-        first, second: colours in [0, 1] for the depth network.
-        sqrt_inv_depth: √(inverse depth × baseline) of the first; NaN where the truth is not known.
-        baseline: metres.
-    """
-
-    first: Float[Array, "*batch 3 height width"]
+    first: Float[Array, "*batch 3 height width"]  # colours in [0, 1] for the depth network
     second: Float[Array, "*batch 3 height width"]
-    sqrt_inv_depth: Float[Array, "*batch 1 height width"]
-    baseline: Float[Array, "*batch"]
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline) of the first; NaN: not known
+    baseline: Float[Array, "*batch"]  # metres
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
@@ -56,20 +42,13 @@ class Batch:
 
 @dataclass(frozen=True)
 class Triples(Batch):
-    """Pairs with the view between; everything has one size.
+    """Pairs with the view between; everything has one size."""
 
-    Attributes:
-        first_texture, second_texture: colours of the pair as they are shown.
-        second_sqrt_inv_depth: of the second, with swapped cameras.
-        middle: the view between.
-        position: of the way from the first to the second that it was taken at.
-    """
-
-    first_texture: Float[Array, "*batch 3 height width"]
+    first_texture: Float[Array, "*batch 3 height width"]  # colours of the pair as they are shown
     second_texture: Float[Array, "*batch 3 height width"]
-    second_sqrt_inv_depth: Float[Array, "*batch 1 height width"]
-    middle: Float[Array, "*batch 3 height width"]
-    position: Float[Array, "*batch"]
+    second_sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # of the second, with swapped cameras
+    middle: Float[Array, "*batch 3 height width"]  # the view between
+    position: Float[Array, "*batch"]  # of the way from the first to the second that it was taken at
 
     @property
     def sqrt_inv_depths(self) -> Float[Tensor, "2 batch 1 height width"]:
@@ -91,18 +70,11 @@ def draw_pairs(
 ) -> Batch:  # fmt: skip
     """Random pairs of random walks; read from either end and mirrored at random.
 
-    Args:
-        pool: of walks.
-        rng: decides everything.
-        batch: how many.
-        size: of all images, which may be square; its height divides the pool's.
-        augmentation: of colours; None leaves them as they are.
-        max_sqrt_inv_depth: that targets are clipped to.
-
-    Raises InputError: the pool's size is not a multiple of ``size``.
+    All images have ``size``, which may be square; its height divides the pool's, else InputError. Targets are clipped
+    to ``max_sqrt_inv_depth``. Without an augmentation colours stay as they are.
     """
-    walks = (draw_walk(pool, rng, size[0]) for _ in range(batch))
-    return stacked([Batch(**_pair(walk, 2, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
+    walks = (data.draw_walk(pool, rng, size[0]) for _ in range(batch))
+    return data.stacked([Batch(**_pair(walk, 2, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
 
 
 def draw_triples(
@@ -110,8 +82,8 @@ def draw_triples(
     augmentation: Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
 ) -> Triples:  # fmt: skip
     """As :func:`draw_pairs`, with the view between; InputError as well if a walk has fewer than three views."""
-    walks = (draw_walk(pool, rng, size[0], 3) for _ in range(batch))
-    return stacked([Triples(**_pair(walk, 3, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
+    walks = (data.draw_walk(pool, rng, size[0], 3) for _ in range(batch))
+    return data.stacked([Triples(**_pair(walk, 3, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
 
 
 def _pair(
@@ -125,11 +97,11 @@ def _pair(
     colours, whole = images.astype(np.float32) / np.float32(255.0), (size[0], 2 * size[0])
     if augmentation is not None:
         colours = _relight(colours, rng, augmentation)
-    shown = textures = np.stack([reduced(image, whole) for image in colours[[0, -1]]])
+    shown = textures = np.stack([data.reduced(image, whole) for image in colours[[0, -1]]])
     if augmentation is not None:
-        shown = vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
+        shown = data.vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
     depths = [
-        turned_depth(np.sqrt(at_block_centres(each, whole) * baseline).clip(max=most), frame.rotation, size)
+        turned_depth(np.sqrt(data.at_block_centres(each, whole) * baseline).clip(max=most), frame.rotation, size)
         for each in inverse_depths[[0, -1]]
     ]
     pictures = [turned_image(image, frame.rotation, size).transpose(2, 0, 1) for image in (*shown, *textures)]
@@ -166,7 +138,7 @@ def turned_image(
 ) -> Float32[np.ndarray, "height width 3"]:
     """A panorama as a camera turned by a rotation sees it: by cubic weights at its own size, then reduced."""
     sharp = np.clip(_table(image.shape[:2], rotation, image.shape).bicubic(np.ascontiguousarray(image)), 0.0, 1.0)
-    return reduced(sharp, size)
+    return data.reduced(sharp, size)
 
 
 def turned_depth(

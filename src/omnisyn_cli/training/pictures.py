@@ -22,13 +22,8 @@ def depth_pictures(
 ) -> dict[str, Float32[np.ndarray, "height width 3"]]:
     """``input``, ``prediction``, ``truth`` and ``error`` as RGB in [0, 1].
 
-    Roots have the Turbo colours (red is near, dark blue infinitely far, both on one scale), errors those of Inferno;
-    what is not known (NaN) is black.
-
-    Args:
-        image: the panorama.
-        sqrt_inv_depth: estimated √(inverse depth × baseline).
-        truth: the true one.
+    Estimated and true √(inverse depth × baseline) have the Turbo colours (red is near, dark blue infinitely far, both
+    on one scale), errors those of Inferno; what is not known (NaN) is black.
     """
     found, true = as_array(sqrt_inv_depth), as_array(truth)
     known = np.isfinite(true)

@@ -17,15 +17,10 @@ multiply in bfloat16. Without them torch imitates it, three times slower than si
 
 @dataclass(frozen=True)
 class Precision:
-    """A device and its arithmetic.
+    """A device and its arithmetic."""
 
-    Attributes:
-        device: that weights, batches and averages are on.
-        is_half: whether convolutions and products are computed in bfloat16; weights and losses never are.
-    """
-
-    device: torch.device
-    is_half: bool = False
+    device: torch.device  # that weights, batches and averages are on
+    is_half: bool = False  # whether convolutions and products are computed in bfloat16; weights and losses never are
 
     def __str__(self) -> str:
         """As said to users."""
@@ -39,11 +34,8 @@ class Precision:
 def choose_precision(device: str = "auto") -> Precision:
     """What to train with; bfloat16 has the range of single precision, so no loss needs scaling.
 
-    Args:
-        device: one of :data:`DEVICES`; ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it
-            multiplies in it; ``cpu`` is the processor in single precision.
-
-    Raises InputError: an unknown device, or CUDA was asked for and there is none.
+    ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it multiplies in it; ``cpu`` is the
+    processor in single precision. InputError: an unknown device, or CUDA was asked for and there is none.
     """
     if device not in DEVICES:
         raise InputError(f"expected a device of {', '.join(DEVICES)}, got {device!r}")

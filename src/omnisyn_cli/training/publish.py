@@ -73,28 +73,24 @@ def publish(
     for part in parts:
         check_output(folder / f"{part.name}.onnx", overwrite)
     with staged_folder(folder, overwrite=overwrite) as staged:
-        differences = []
+        made = []
         for part in parts:
             file = staged / f"{part.name}.onnx"
             export_network(part.network, file)
-            differences.append(largest_difference(part.network, file, part.examples))
-        if not max(differences) <= PARITY:
+            entry = ModelEntry(
+                part.name, part.role, variant=part.network.config.name, file=file.name, sha256=sha256_of(file),
+                size=part.size, parameters=sum(parameter.numel() for parameter in part.network.parameters()),
+                training=training or f"{state['step']} steps", licence=licence, metrics=state.get("scores", {}),
+            )  # fmt: skip
+            made.append((entry, largest_difference(part.network, file, part.examples)))
+        worst = max(difference for _, difference in made)
+        if not worst <= PARITY:
             raise OmnisynError(
-                f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported: "
+                f"expected ONNX Runtime to agree with torch within {PARITY}, got {worst:.1e}; not exported: "
                 "train it longer, weights of the first steps may answer with nothing but rounding"
             )
-    training, scores = training or f"{state['step']} steps", state.get("scores", {})
-    entries = []
-    for part in parts:
-        file = folder / f"{part.name}.onnx"
-        count = sum(parameter.numel() for parameter in part.network.parameters())
-        entry = ModelEntry(
-            part.name, part.role, variant=part.network.config.name, file=file.name, sha256=sha256_of(file),
-            size=part.size, parameters=count, training=training, licence=licence, metrics=scores,
-        )  # fmt: skip
-        entries.append(entry)
-    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
-    return list(zip(entries, differences, strict=True))
+    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry, _ in made})
+    return made
 
 
 def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:

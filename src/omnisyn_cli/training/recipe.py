@@ -53,66 +53,37 @@ EARLY_STEPS = 3
 
 @dataclass(frozen=True)
 class Stage:
-    """Some steps of one size.
+    """Some steps of one size."""
 
-    Attributes:
-        height: rows of the images, twice as many columns.
-        batch: pairs per step.
-        steps: of this stage.
-        rate: learning rate at its beginning.
-        final_rate: at its end; between both along a cosine.
-        guided: share of the pairs that are shown with what matching would say.
-    """
-
-    height: int
-    batch: int
-    steps: int
-    rate: float
-    final_rate: float
-    guided: float = 0.0
+    height: int  # rows of the images, twice as many columns
+    batch: int  # pairs per step
+    steps: int  # of this stage
+    rate: float  # learning rate at its beginning
+    final_rate: float  # at its end; between both along a cosine
+    guided: float = 0.0  # share of the pairs that are shown with what matching would say
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a training consists of.
+    """What a training consists of."""
 
-    Attributes:
-        variant: of the network.
-        stages: one after the other.
-        kinds: of scenes in turn, see :class:`~omnisyn_cli.training.walks.WalkConfig`.
-        height: rows of the scenes that are made.
-        views: of each.
-        first_walks: scenes that are made before the first step.
-        early_walks: that come soon, one every :data:`EARLY_STEPS` steps, as few scenes are soon known by heart.
-        steps_per_walk: steps until one more is made, from the beginning.
-        most_walks: scenes of a pool at most; from then on the oldest are left out as new ones come.
-        validation_walks: scenes to be judged by, meshes held out and the other kinds in turn.
-        validation_pairs: pairs of those.
-        validate_every: steps.
-        save_every: steps.
-        warmup_steps: over which the rate rises from zero, at the beginning and after a restart without an optimiser.
-        encoder_rate: learning rate of the pretrained encoder, as a share of that of the rest.
-        ema: decay of the average of weights.
-        seed: of the weights, the batches and the scenes.
-    """
-
-    variant: str
-    stages: tuple[Stage, ...]
-    kinds: tuple[str, ...] = WalkConfig.kinds
-    height: int = 256
-    views: int = 4
-    first_walks: int = 24
-    early_walks: int = 120
-    steps_per_walk: int = 10
-    most_walks: int = 4000
-    validation_walks: int = 22
-    validation_pairs: int = 44
-    validate_every: int = 500
-    save_every: int = 100
-    warmup_steps: int = 200
-    encoder_rate: float = 0.15
-    ema: float = 0.999
-    seed: int = 0
+    variant: str  # of the network
+    stages: tuple[Stage, ...]  # one after the other
+    kinds: tuple[str, ...] = WalkConfig.kinds  # of scenes in turn, see WalkConfig
+    height: int = 256  # rows of the scenes that are made
+    views: int = 4  # of each
+    first_walks: int = 24  # scenes that are made before the first step
+    early_walks: int = 120  # that come soon, one every EARLY_STEPS steps, as few scenes are soon known by heart
+    steps_per_walk: int = 10  # steps until one more is made, from the beginning
+    most_walks: int = 4000  # scenes of a pool at most; from then on the oldest are left out as new ones come
+    validation_walks: int = 22  # scenes to be judged by, meshes held out and the other kinds in turn
+    validation_pairs: int = 44  # pairs of those
+    validate_every: int = 500  # steps
+    save_every: int = 100  # steps
+    warmup_steps: int = 200  # over which the rate rises from zero, at the beginning and after a start without optimiser
+    encoder_rate: float = 0.15  # learning rate of the pretrained encoder, as a share of that of the rest
+    ema: float = 0.999  # decay of the average of weights
+    seed: int = 0  # of the weights, the batches and the scenes
 
     def stage_at(self, step: int) -> tuple[int, int]:
         """Index of the stage that a step belongs to, and the number of the step in it; past the end for none."""
@@ -174,14 +145,7 @@ def _check(recipe: Recipe, path: Path) -> None:
 
 
 class RecipeTrainer(Trainer):
-    """A trainer whose rate, size and batch follow a recipe, and which makes its scenes.
-
-    Args:
-        recipe: what is done when.
-        folder: of the run.
-        walks: what scenes are made of.
-        precision: where and how to compute.
-    """
+    """A trainer whose rate, size and batch follow a recipe, and which makes its scenes in the folder of the run."""
 
     judged_by = "error"
 
@@ -293,21 +257,11 @@ def train_recipe(
     Writes ``checkpoint.pt`` (to resume), ``best.pt`` and ``latest.pt`` (compact: of the least error so far, and of the
     last validation), ``log.jsonl`` and ``curve.csv`` (a row per validation), ``pictures/NNNNNNNN.png``, and the scenes.
 
-    Args:
-        recipe: from :func:`read_recipe`.
-        folder: of the run.
-        textures: photographs of materials.
-        meshes: to walk through.
-        encoder: weights of the classifier that the encoder of a fresh run begins with; None for random ones.
-        begin_with: a checkpoint, compact or not, or an exported network that a fresh run goes on from.
-        minutes: of wall clock, at most.
-        report: called with each row of the curve.
-        precision: where and how to compute.
-        on_start: called once before the first step.
+    A fresh run goes on from ``begin_with``, a checkpoint, compact or not, or an exported network, or begins with the
+    weights of a classifier in its encoder, or with random ones. See :func:`omnisyn_cli.training.loop.train` for the
+    last four arguments.
 
-    Raises:
-        InputError: textures, meshes or a checkpoint are not what they should be.
-        TrainingError: the run has collapsed.
+    Raises InputError: textures, meshes or a checkpoint are not what they should be; TrainingError: it has collapsed.
     """
     photos, size = None if textures is None else str(textures), (recipe.height, 2 * recipe.height)
     walks = WalkConfig(size, recipe.kinds, textures=photos, views=recipe.views, meshes=meshes)

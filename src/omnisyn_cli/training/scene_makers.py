@@ -33,21 +33,13 @@ PATH_STOPS = 9
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """The scenes of a pool, of any kind.
+    """The scenes of a pool, of any kind."""
 
-    Attributes:
-        size: ``(height, width)`` of what is stored.
-        kinds: of scenes, in turn by seed.
-        pose_error_share: of scenes with pose errors.
-        pose_error_radians: standard deviation of these errors.
-        textures: folder of photographs that become materials; None leaves all of them procedural.
-    """
-
-    size: tuple[int, int] = (256, 512)
-    kinds: tuple[str, ...] = ("room", "street", "home")
-    pose_error_share: float = 0.3
-    pose_error_radians: float = 0.002
-    textures: str | None = None
+    size: tuple[int, int] = (256, 512)  # ``(height, width)`` of what is stored
+    kinds: tuple[str, ...] = ("room", "street", "home")  # of scenes, in turn by seed
+    pose_error_share: float = 0.3  # of scenes with pose errors
+    pose_error_radians: float = 0.002  # standard deviation of these errors
+    textures: str | None = None  # folder of photographs that become materials; None leaves all of them procedural
 
     def scene(self, seed: int, stops: int, kind: str | None = None) -> tuple[Scene, list[Pose]] | None:
         """The scene of a seed, and places on a straight way through it; None if it has no room for one.
@@ -67,13 +59,9 @@ class SceneConfig:
 
 @dataclass(frozen=True)
 class TiltedConfig(SceneConfig):
-    """Scenes that are photographed with cameras held nearly upright, with a heading of their own.
+    """Scenes that are photographed with cameras held nearly upright, with a heading of their own."""
 
-    Attributes:
-        tilts: standard deviations of pitch and roll that a scene draws one of, radians.
-    """
-
-    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
+    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)  # deviations of pitch and roll to draw one of, radians
 
 
 @lru_cache(maxsize=1)
@@ -92,13 +80,8 @@ def make_scene_files(
 ) -> Iterator[Path]:
     """Make the scenes that are not there yet, in worker processes that give way to everything else.
 
-    Yields each file as it is finished, in any order. Seeds whose scene has no room for a path are skipped.
-
-    Args:
-        folder: of the pool.
-        seeds: of the scenes.
-        make: writes the file of a seed, or returns None where there is no room; a function that can be pickled.
-        workers: processes.
+    Yields each file as it is finished, in any order. ``make``, which can be pickled, writes the file of a seed, or
+    returns None where there is no room for a path.
 
     Raises:
         OutputPathError: the folder cannot be made.
@@ -149,15 +132,7 @@ def take_photograph(
 ) -> View:  # fmt: skip
     """A panorama taken by hand: with the pose it is said to have, and the inverse depth at the centre of each pixel.
 
-    Args:
-        scene: what is photographed.
-        position: of the camera.
-        tilt: see :func:`random_rotation`.
-        error: see :func:`noisy_pose`.
-        rng: random numbers.
-        size: height and width of the picture.
-        depth_size: those of the inverse depth.
-        supersample: colour samples per pixel along each axis.
+    See :func:`random_rotation` for ``tilt``, :func:`noisy_pose` for ``error``; a pixel has ``supersample``² samples.
     """
     pose = Pose(random_rotation(rng, tilt), position)
     image, depth = render_panorama(scene, pose, size, supersample=supersample, threads=1)
@@ -173,11 +148,7 @@ def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
 
 
 def walk_of_views(views: Sequence[View], size: tuple[int, int]) -> Walk:
-    """Panoramas and their depth, turned upright and to one heading.
-
-    Args:
-        views: two, or more on one straight line and in its order, with known depth and sizes of their own.
-        size: height and width of the pool, 1:2.
+    """Two panoramas, or more in the order of one straight line, and their known depth, turned upright.
 
     Raises InputError: a panorama has no depth, or the ends are at one place.
     """

@@ -28,19 +28,12 @@ from omnisyn_cli.training.pictures import as_array, depth_pictures
 
 @dataclass(frozen=True)
 class ViewSample:
-    """One picture and what it is made of; all panoramas are upright and held alike.
+    """One picture and what it is made of; all panoramas are upright and held alike."""
 
-    Attributes:
-        images: of the panoramas, RGB in [0, 1].
-        sqrt_inv_depths: of their true inverse depths, m^-½; NaN where they are not known.
-        target_from_sources: where the panoramas are, seen from the target.
-        truth: what is to be seen.
-    """
-
-    images: Float[Tensor, "views 3 height width"]
-    sqrt_inv_depths: Float[Tensor, "views 1 height width"]
-    target_from_sources: tuple[Pose, ...]
-    truth: Float[Tensor, "3 height width"]
+    images: Float[Tensor, "views 3 height width"]  # of the panoramas, RGB in [0, 1]
+    sqrt_inv_depths: Float[Tensor, "views 1 height width"]  # of their true inverse depths, m^-½; NaN: not known
+    target_from_sources: tuple[Pose, ...]  # where the panoramas are, seen from the target
+    truth: Float[Tensor, "3 height width"]  # what is to be seen
 
 
 def draw_views(pool: list[Path], rng: np.random.Generator, count: int, size: tuple[int, int]) -> list[ViewSample]:
@@ -66,15 +59,7 @@ def _chosen(views: int, wanted: int, rng: np.random.Generator) -> tuple[int, tup
 def view_sample(
     walk: Walk, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
 ) -> ViewSample:
-    """A sample of a walk.
-
-    Args:
-        walk: the views.
-        target: index of the view that is to be made.
-        sources: those of the views that it is made of.
-        size: height and width of all pictures.
-        heading: that all panoramas are turned by, radians; at 0 they stay as they are.
-    """
+    """A sample of a walk: views made of others, by their indices; all are turned by a heading, radians."""
     own, held = np.eye(3), rotation_from_heading(heading)
 
     def colours(view: int) -> np.ndarray:
@@ -112,17 +97,11 @@ DEPTH_WEIGHT = 0.5
 
 @dataclass(frozen=True)
 class SynSinPrediction(DepthPrediction):
-    """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure.
+    """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure."""
 
-    Attributes:
-        pictures: one for each sample.
-        sqrt_inv_depths: of the inverse depth of all panoramas of all samples, in their order.
-        config: of the networks.
-    """
-
-    pictures: Float[Tensor, "samples 3 height width"]
-    sqrt_inv_depths: Float[Tensor, "views 1 height width"]
-    config: SynSinConfig
+    pictures: Float[Tensor, "samples 3 height width"]  # one for each sample
+    sqrt_inv_depths: Float[Tensor, "views 1 height width"]  # of the inverse depth of all panoramas of all samples
+    config: SynSinConfig  # of the networks
 
     def inverse_depth(self) -> Float[Tensor, "views 1 height width"]:
         """1/metre."""
@@ -160,15 +139,11 @@ def _blend(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses:
 
 def reconstruction_loss(made: SynSinPrediction, samples: Sequence[ViewSample]) -> Tensor:
     """Absolute error of colours, and that of √(inverse depth); both weighted by solid angle."""
-    truth = _truth(samples)
+    truth = torch.stack([sample.truth for sample in samples])
     colours = ((made.pictures - truth).abs() * polar_weights(truth)).mean()
     return colours + DEPTH_WEIGHT * sqrt_inv_depth_loss(
         made.sqrt_inv_depths, torch.cat([sample.sqrt_inv_depths for sample in samples])
     )
-
-
-def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height width"]:
-    return torch.stack([sample.truth for sample in samples])
 
 
 def load_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:

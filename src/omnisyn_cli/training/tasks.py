@@ -45,76 +45,47 @@ HELD_OUT_LOSS = "held_out_loss"
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """One stage of training; a later stage may change any of it.
+    """One stage of training; a later stage may change any of it."""
 
-    Attributes:
-        pool, validation_pool: folders of scenes, see :mod:`omnisyn_cli.training.data`.
-        size: of the images, a whole fraction of the pool's.
-        batch: pairs per step.
-        rate: learning rate after the warm-up.
-        warmup_steps: steps over which the rate rises from zero.
-        cooldown_steps: 0, or the number of steps over which the rate falls to zero, counted from the first step of this
-            call; then training ends.
-        weight_decay, clip: of AdamW, and the greatest norm of a gradient.
-        ema: decay of the average per step (smaller at the beginning).
-        seed: of the weights and of all batches.
-        validate_every, save_every: in steps.
-        validation_pairs: how many pairs are scored.
-        guided: share of the pairs that a depth network is shown with what matching would say.
-    """
-
-    pool: str
+    pool: str  # folders of scenes, see data
     validation_pool: str
-    size: tuple[int, int] = (256, 512)
-    batch: int = 4
-    rate: float = 6e-4
-    warmup_steps: int = 200
-    cooldown_steps: int = 0
-    weight_decay: float = 1e-4
+    size: tuple[int, int] = (256, 512)  # of the images, a whole fraction of the pool's
+    batch: int = 4  # pairs per step
+    rate: float = 6e-4  # learning rate after the warm-up
+    warmup_steps: int = 200  # steps over which the rate rises from zero
+    cooldown_steps: int = 0  # over which the rate falls to zero, from the first step of this call on; then it ends
+    weight_decay: float = 1e-4  # of AdamW, and the greatest norm of a gradient
     clip: float = 1.0
-    ema: float = 0.998
-    seed: int = 0
-    validate_every: int = 250
+    ema: float = 0.998  # decay of the average per step (smaller at the beginning)
+    seed: int = 0  # of the weights and of all batches
+    validate_every: int = 250  # in steps
     save_every: int = 50
-    validation_pairs: int = 32
-    guided: float = 0.0
+    validation_pairs: int = 32  # how many pairs are scored
+    guided: float = 0.0  # share of the pairs that a depth network is shown with what matching would say
 
 
 @dataclass(frozen=True)
 class Task:
     """A kind of network: what it is shown, how it is taught, how it is judged.
 
-    Batches are dataclasses of tensors, or lists of them.
-
-    Attributes:
-        config: class of its configuration, with ``as_dict`` and ``from_dict``.
-        variants: the configurations by name.
-        build: a fresh network of a configuration.
-        draw: the batch of a step, on the processor: of a pool, random numbers, a stage, the network and the variation
-            of colours, or None.
-        loss: of an answer to a batch, a scalar.
-        scores: figures of an answer to a batch.
-        inputs: what a network is called with, of itself and a batch.
-        answer: of a network to a batch; None calls it with ``inputs``.
-        pictures: what is seen of an answer to a batch, RGB in [0, 1] by name; None where nobody looks.
-        held_out: a batch to be judged by, of a scene's file, the number of times that it was looked at before, and the
-            stage; None draws it without varying colours.
-        pool: command that makes what it learns from, see :func:`omnisyn_cli.training.data.list_scene_files`.
-        role: what it is for; None where that is the kind itself.
+    Batches are dataclasses of tensors, or lists of them. ``draw`` makes that of a step, on the processor: of a pool,
+    random numbers, a stage, the network and the variation of colours, or None. ``held_out`` makes one to be judged by,
+    of a scene's file, the number of times that it was looked at before, and the stage; None draws it without varying
+    colours.
     """
 
-    config: type[Any]
-    variants: Mapping[str, Any]
-    build: Callable[[Any], Any]
+    config: type[Any]  # class of its configuration, with ``as_dict`` and ``from_dict``
+    variants: Mapping[str, Any]  # the configurations by name
+    build: Callable[[Any], Any]  # a fresh network of a configuration
     draw: Callable[[list[Path], np.random.Generator, TrainConfig, Any, Augmentation | None], Any]
-    loss: Callable[[Any, Any], Tensor]
-    scores: Callable[[Any, Any], dict[str, float]]
-    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: batch.inputs
-    answer: Callable[[Any, Any], Any] | None = None
-    pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None
+    loss: Callable[[Any, Any], Tensor]  # of an answer to a batch, a scalar
+    scores: Callable[[Any, Any], dict[str, float]]  # figures of an answer to a batch
+    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: batch.inputs  # of a network and a batch
+    answer: Callable[[Any, Any], Any] | None = None  # of a network to a batch; None calls it with ``inputs``
+    pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None  # RGB in [0, 1] by name; None: nobody looks
     held_out: Callable[[Path, int, TrainConfig], Any] | None = None
-    pool: str = "pool"
-    role: str | None = None
+    pool: str = "pool"  # command that makes what it learns from, see list_scene_files
+    role: str | None = None  # what it is for; None where that is the kind itself
 
     def answer_of(self, network: Any, batch: Any) -> Any:
         """What a network says to a batch."""

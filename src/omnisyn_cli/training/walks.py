@@ -37,17 +37,11 @@ MIN_MEAN_BRIGHTNESS = 0.06
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Meshes to walk through.
+    """Meshes to walk through."""
 
-    Attributes:
-        folder: of mesh files, see :func:`omnisyn_cli.io.meshes.list_meshes`.
-        scales: metres per unit of a file, by the name of the file or of its folder; 1 for all others.
-        held_out: names of files, or of their folders, that are only for validation.
-    """
-
-    folder: str
-    scales: Mapping[str, float]
-    held_out: tuple[str, ...] = ()
+    folder: str  # of mesh files, see list_meshes
+    scales: Mapping[str, float]  # metres per unit of a file, by the name of the file or of its folder; 1 for all others
+    held_out: tuple[str, ...] = ()  # names of files, or of their folders, that are only for validation
 
     def paths(self, *, is_held_out: bool) -> list[Path]:
         """The files to learn from, or those held out; InputError: none, or a held-out or scaled name is of none."""
@@ -73,23 +67,15 @@ def _names(path: Path) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class WalkConfig(SceneConfig):
-    """What walks are made of.
+    """What walks are made of."""
 
-    Attributes:
-        kinds: :data:`MESH`, or of :data:`omnisyn_cli.scenes.GENERATORS`.
-        views: per walk; n views make n·(n−1) pairs.
-        supersample: colour samples per pixel along each axis.
-        meshes: or None, where no kind is :data:`MESH`.
-        is_held_out: whether meshes are those held out, which are then left as they are.
-    """
-
-    kinds: tuple[str, ...] = (MESH, "home", MESH, "street", MESH, "room")
+    kinds: tuple[str, ...] = (MESH, "home", MESH, "street", MESH, "room")  # MESH, or of GENERATORS
     pose_error_share: float = 0.0
     pose_error_radians: float = 0.0015
-    views: int = 4
-    supersample: int = 2
-    meshes: MeshSource | None = None
-    is_held_out: bool = False
+    views: int = 4  # per walk; n views make n·(n−1) pairs
+    supersample: int = 2  # colour samples per pixel along each axis
+    meshes: MeshSource | None = None  # or None, where no kind is MESH
+    is_held_out: bool = False  # whether meshes are those held out, which are then left as they are
 
     def check(self) -> None:
         """InputError unless all kinds can be made."""
