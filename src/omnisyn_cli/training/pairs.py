@@ -104,20 +104,20 @@ def _pair(
         turned_depth(np.sqrt(data.at_block_centres(each, whole) * baseline).clip(max=most), frame.rotation, size)
         for each in inverse_depths[[0, -1]]
     ]
-    pictures = [turned_image(image, frame.rotation, size).transpose(2, 0, 1) for image in (*shown, *textures)]
+    table = _table(whole, frame.rotation, whole)
     pair = {
-        "first": pictures[0],
-        "second": pictures[1],
+        "first": turned_image(shown[0], table, size),
+        "second": turned_image(shown[1], table, size),
         "sqrt_inv_depth": depths[0][None],
         "baseline": np.float32(baseline),
     }
     if views == 2:
         return pair
     return pair | {
-        "first_texture": pictures[2],
-        "second_texture": pictures[3],
+        "first_texture": turned_image(textures[0], table, size),
+        "second_texture": turned_image(textures[1], table, size),
         "second_sqrt_inv_depth": swap_cameras_in_forward_frame(depths[1])[None],
-        "middle": turned_image(colours[1], frame.rotation, size).transpose(2, 0, 1),
+        "middle": turned_image(colours[1], _table(colours.shape[1:3], frame.rotation, colours.shape[1:3]), size),
         "position": np.float32(np.linalg.norm(positions[1] - positions[0]) / baseline),
     }
 
@@ -134,17 +134,16 @@ def _ordered_views(walk: Walk, views: int, rng: np.random.Generator) -> tuple[np
 
 
 def turned_image(
-    image: Float32[np.ndarray, "rows cols 3"], rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]
-) -> Float32[np.ndarray, "height width 3"]:
-    """A panorama as a camera turned by a rotation sees it: by cubic weights at its own size, then reduced."""
-    sharp = np.clip(_table(image.shape[:2], rotation, image.shape).bicubic(np.ascontiguousarray(image)), 0.0, 1.0)
-    return data.reduced(sharp, size)
+    image: Float32[np.ndarray, "rows cols 3"], table: RemapTable, size: tuple[int, int]
+) -> Float32[np.ndarray, "3 height width"]:
+    """A panorama as a turned camera sees it, channels first: by cubic weights at its own size, then reduced."""
+    return data.reduced(np.clip(table.bicubic(image), 0.0, 1.0), size).transpose(2, 0, 1)
 
 
 def turned_depth(
     sqrt_inv_depth: Float32[np.ndarray, "rows cols"], rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]
 ) -> Float32[np.ndarray, "height width"]:
-    """The same of √(inverse depth × baseline): linear on surfaces, not interpolated at all across edges.
+    """√(inverse depth × baseline) as a turned camera sees it: linear on surfaces, not interpolated across edges.
 
     What is not known (NaN) stays so.
     """
