@@ -18,8 +18,8 @@ from omnisyn_cli.scenes.noise import cell_hash
 from omnisyn_cli.scenes.photos import PhotoMapping
 from omnisyn_cli.scenes.shader import photo_at
 from omnisyn_cli.scenes.textures import FacePoint
-from omnisyn_cli.training.data import load_scene
-from omnisyn_cli.training.line_scenes import LineSceneConfig, render_line_scene
+from omnisyn_cli.training.data import load_walk
+from omnisyn_cli.training.walks import WalkConfig, make_walk_file
 
 
 def photographs(count=4, seed=0):
@@ -251,9 +251,9 @@ def test_folders_without_photographs_are_refused_before_anything_is_written(tmp_
 
 
 def test_a_pool_of_photographs_has_the_depth_of_the_procedural_one(tmp_path, folder):
-    config = LineSceneConfig(size=(32, 64), views=2, pose_error_share=0.0)
+    config = WalkConfig(size=(32, 64), kinds=("street",), views=2)
     plain, take_photograph = (
-        load_scene(render_line_scene(tmp_path / name, 1, replace(config, textures=textures)))
+        load_walk(make_walk_file(tmp_path / name, 1, replace(config, textures=textures)))
         for name, textures in (("plain", None), ("photographed", str(folder)))
     )
     np.testing.assert_array_equal(plain.inverse_depth, take_photograph.inverse_depth)

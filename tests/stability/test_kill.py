@@ -23,7 +23,8 @@ TRAIN = """
 import sys
 from pathlib import Path
 from training_samples import TINY
-from omnisyn_cli.training.loop import TrainConfig, train
+from omnisyn_cli.training.loop import train
+from omnisyn_cli.training.tasks import TrainConfig
 pools = {"pool": sys.argv[1], "validation_pool": sys.argv[1]}
 config = TrainConfig(**pools, size=(64, 128), batch=1, validate_every=2, save_every=1)
 print(train(TINY, config, Path(sys.argv[2]), steps=6).step)

@@ -16,12 +16,14 @@ from omnisyn_cli.networks.completion import (
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training import losses
-from omnisyn_cli.training.completion import FeatureSample, draw_feature_pair, make_feature_scene
-from omnisyn_cli.training.data import FeatureBatch, list_scene_files, load_samples
-from omnisyn_cli.training.line_scenes import TiltedConfig
-from omnisyn_cli.training.loop import TrainConfig, load_network, train
+from omnisyn_cli.training.checkpoint import load_network
+from omnisyn_cli.training.completion import FeatureBatch, draw_completion, make_feature_scene
+from omnisyn_cli.training.data import list_scene_files, load_samples
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.losses import completion_loss, completion_scores
 from omnisyn_cli.training.publish import publish
+from omnisyn_cli.training.scene_makers import TiltedConfig
+from omnisyn_cli.training.tasks import TrainConfig
 
 TINY = CompletionConfig(
     "tiny", channels=COMPLETION_CHANNEL_COUNT, widths=(8, 12, 16), fine=6, heads=2, attention_layers=1
@@ -41,36 +43,36 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
     """What both directions agree on is far nearer to the truth there than to that half a turn away."""
     own, elsewhere = [], []
     for path in pool:
-        for pair in load_samples(path, FeatureSample):
+        for pair in load_samples(path, FeatureBatch):
             assert pair.channels.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
-            assert pair.sqrt_inv_depth.shape == SIZE
+            assert pair.sqrt_inv_depth.shape == (1, *SIZE)
             assert pair.baseline > 0.05
             assert np.isfinite(pair.channels).all()
             left_right_consistent = (pair.channels[5] > 0) & (pair.channels[6] == 0)
             for truth, errors in (
                 (pair.sqrt_inv_depth, own),
-                (np.roll(pair.sqrt_inv_depth, SIZE[0], axis=1), elsewhere),
+                (np.roll(pair.sqrt_inv_depth, SIZE[0], axis=2), elsewhere),
             ):
-                errors.extend(np.abs(pair.channels[3] - truth)[left_right_consistent])
-        assert load_samples(path, FeatureSample, 2)[0].baseline == load_samples(path, FeatureSample)[2].baseline
+                errors.extend(np.abs(pair.channels[3] - truth[0])[left_right_consistent])
+        assert load_samples(path, FeatureBatch, 2)[0].baseline == load_samples(path, FeatureBatch)[2].baseline
     assert np.mean(own) < 0.7 * np.mean(elsewhere), (np.mean(own), np.mean(elsewhere))
 
 
 @pytest.mark.parametrize("augment", [False, True])
 @pytest.mark.parametrize("size", [SIZE, (SIZE[0] // 2, SIZE[1] // 2)])
 def test_a_pair_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(pool, size, augment):
-    one, same = (draw_feature_pair(pool[0], np.random.default_rng(3), size, augment=augment) for _ in range(2))
+    one, same = (draw_completion(pool[:1], np.random.default_rng(3), 1, size, augment=augment) for _ in range(2))
     assert torch.equal(one.channels, same.channels)
     assert one.channels.shape == (2, COMPLETION_CHANNEL_COUNT, *size)
     assert one.sqrt_inv_depth.shape == (2, 1, *size)
-    colours = sorted(float(pair.channels[:3].mean()) for path in pool for pair in load_samples(path, FeatureSample))
+    colours = sorted(float(pair.channels[:3].mean()) for path in pool for pair in load_samples(path, FeatureBatch))
     drawn = [min(abs(float(channels[:3].mean()) - colour) for colour in colours) for channels in one.channels]
     assert (max(drawn) > 1e-3) == augment
     stored = [
         (part, nearest)
         for path in pool
-        for pair in load_samples(path, FeatureSample)
-        for part, nearest in (halves(pair) if size != SIZE else [(pair.channels[3], pair.sqrt_inv_depth)])
+        for pair in load_samples(path, FeatureBatch)
+        for part, nearest in (halves(pair) if size != SIZE else [(pair.channels[3], pair.sqrt_inv_depth[0])])
     ]
     for channels, sqrt_inv_depth in zip(one.channels.numpy(), one.sqrt_inv_depth.numpy(), strict=True):
         shown = [
@@ -86,12 +88,14 @@ def test_a_pair_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(po
 
 def halves(pair):
     """Every second pixel of the filled roots, and of the true ones, in four ways."""
-    return [(pair.channels[3, row::2, col::2], pair.sqrt_inv_depth[row::2, col::2]) for row in (0, 1) for col in (0, 1)]
+    return [
+        (pair.channels[3, row::2, col::2], pair.sqrt_inv_depth[0, row::2, col::2]) for row in (0, 1) for col in (0, 1)
+    ]
 
 
 def test_evidence_of_another_size_is_refused(pool):
     with pytest.raises(InputError, match=r"expected evidence of 64 or 128 rows in .*, got 32; choose another --height"):
-        draw_feature_pair(pool[0], np.random.default_rng(0), (64, 128), augment=False)
+        draw_completion(pool[:1], np.random.default_rng(0), 1, (64, 128), augment=False)
 
 
 def test_a_network_is_trained_and_published(tmp_path, pool):

@@ -1,26 +1,22 @@
 """Pairs of a data set become scenes of a pool: what is known about them survives the turn."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
-from walk_samples import make_walks
+from training_samples import make_walks
 
 from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
-from omnisyn_cli.training.data import draw_batch, list_scene_files, load_scene
-from omnisyn_cli.training.line_scenes import add_views, pair_path, scene_from_views
+from omnisyn_cli.training.data import list_scene_files, load_walk, save_samples
 from omnisyn_cli.training.losses import depth_scores, paper_loss
-from omnisyn_cli.training.walks import load_walk
+from omnisyn_cli.training.pairs import draw_pairs
+from omnisyn_cli.training.scene_makers import pair_path, walk_of_views
 from omnisyn_cli.types import DepthEstimate, View
 
 RADIUS, CENTRE = 3.0, np.array([0.3, -0.2, 0.4])
@@ -48,10 +44,10 @@ def view(pose, size, *, hole=False, mask=None):
 
 @pytest.mark.parametrize("size", [SIZE, (128, 256)])
 def test_a_pair_is_held_as_pools_are(size):
-    scene = scene_from_views((view(FIRST, size), view(SECOND, size)), SIZE)
-    frame, other, baseline = epipole_frame(FIRST, SECOND)
-    np.testing.assert_allclose(scene.along, [0.0, baseline], rtol=1e-6)
-    for pose, image, inverse_depth in zip((frame, other), scene.images, scene.inverse_depth, strict=True):
+    walk = walk_of_views((view(FIRST, size), view(SECOND, size)), SIZE)
+    np.testing.assert_allclose(walk.positions, [np.zeros(3), SECOND.position - FIRST.position], rtol=1e-6)
+    upright = [Pose(np.eye(3), pose.position) for pose in (FIRST, SECOND)]
+    for pose, image, inverse_depth in zip(upright, walk.images, walk.inverse_depth, strict=True):
         np.testing.assert_allclose(inverse_depth, ball(pose, SIZE)[0], rtol=0.05)
         np.testing.assert_allclose(image / 255.0, ball(pose, SIZE)[1], atol=0.02)
 
@@ -60,12 +56,12 @@ def test_holes_and_masks_are_unknown_and_teach_nothing(tmp_path):
     mask = np.ones(SIZE, bool)
     mask[:, 64:] = False
     folder = tmp_path / "pool"
-    add_views(folder / "a.npz", (view(FIRST, SIZE, hole=True), view(SECOND, SIZE, mask=mask)), SIZE)
-    stored = load_scene(folder / "a.npz")
+    save_samples(folder / "a.npz", [walk_of_views((view(FIRST, SIZE, hole=True), view(SECOND, SIZE, mask=mask)), SIZE)])
+    stored = load_walk(folder / "a.npz")
     shares = np.isnan(stored.inverse_depth).mean(axis=(1, 2))
     assert 0.03 < shares[0] < 0.2
     assert 0.4 < shares[1] < 0.6
-    batch = draw_batch(list_scene_files(folder), np.random.default_rng(0), 4, SIZE)
+    batch = draw_pairs(list_scene_files(folder), np.random.default_rng(0), 4, SIZE)
     unknown = torch.isnan(batch.sqrt_inv_depth)
     assert unknown.any()
     heads = torch.rand(2, 4, 1, *SIZE)
@@ -92,9 +88,9 @@ def figures(heads, batch):
 def test_pairs_without_depth_or_without_a_baseline_are_refused():
     plain = View(ball(FIRST, SIZE)[1], FIRST)
     with pytest.raises(InputError, match="true depth"):
-        scene_from_views((plain, view(SECOND, SIZE)), SIZE)
+        walk_of_views((plain, view(SECOND, SIZE)), SIZE)
     with pytest.raises(InputError, match="different places"):
-        scene_from_views((view(FIRST, SIZE), view(FIRST, SIZE)), SIZE)
+        walk_of_views((view(FIRST, SIZE), view(FIRST, SIZE)), SIZE)
 
 
 def test_names_of_files_are_plain(tmp_path):
@@ -126,25 +122,22 @@ def test_a_folder_of_scenes_becomes_a_pool_once(tmp_path):
     assert names == ["walk-0.png-1.png.npz", "walk-1.png-2.png.npz"]
     assert result.output.count("expected true depth of both panoramas") == 2
     assert "broken: " in result.output
-    scene = load_scene(tmp_path / "pool" / names[0])
+    scene = load_walk(tmp_path / "pool" / names[0])
     assert scene.images.shape == (2, 64, 128, 3)
-    assert scene.along[1] == pytest.approx(0.4 * np.sqrt(1.04), rel=1e-4)
+    np.testing.assert_allclose(scene.positions[1], [0.4, 0.0, 0.08], atol=1e-4)
     again = CliRunner().invoke(train_command, arguments)
     assert ".npz" not in again.output
 
 
 def test_walks_of_a_recipe_become_a_pool(tmp_path):
-    """All views of a walk are one scene, and show what they showed, turned."""
+    """All views of a walk are one scene, and show what they showed."""
     positions = ((0, 0, 0), (0.2, 0, -0.4), (0.5, 0, -1.0))
     make_walks(tmp_path / "walks", 2, size=(128, 256), radius=3.0, positions=positions)
     arguments = ["convert", str(tmp_path / "walks"), str(tmp_path / "pool"), "--height", "64"]
     assert CliRunner().invoke(train_command, arguments).exit_code == 0
     paths = list_scene_files(tmp_path / "pool")
     assert [path.name for path in paths] == ["00000000.npz", "00000001.npz"]
-    scene, walk = load_scene(paths[1]), load_walk(tmp_path / "walks" / paths[1].name)
-    np.testing.assert_allclose(scene.along, [0.0, math.hypot(0.2, 0.4), math.hypot(0.5, 1.0)], rtol=1e-5)
-    for k in range(3):  # the wall ahead and behind, where rows of both panoramas begin and end
-        ahead = sample_nearest(
-            walk.inverse_depth[k], np.array([[[0.5, 0.0, -1.0], [-0.5, 0.0, 1.0]]]) / math.hypot(0.5, 1)
-        )
-        np.testing.assert_allclose(scene.inverse_depth[k][[0, -1], 0], ahead[0], rtol=0.1)
+    small, walk = load_walk(paths[1]), load_walk(tmp_path / "walks" / paths[1].name)
+    np.testing.assert_allclose(small.positions, positions, rtol=1e-5)
+    for k in range(3):
+        np.testing.assert_allclose(small.inverse_depth[k], walk.inverse_depth[k][::2, ::2], rtol=0.05)

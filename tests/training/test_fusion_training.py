@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from torch.nn import functional
-from walk_samples import make_walks
+from training_samples import make_walks
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.metrics import ws_psnr
@@ -22,19 +22,21 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.data import WINDOW_DIVISOR, load_samples, save_samples, window_columns
+from omnisyn_cli.training.checkpoint import load_network
+from omnisyn_cli.training.data import load_samples, load_walk, save_samples, stacked
 from omnisyn_cli.training.fusion_losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
 from omnisyn_cli.training.fusion_scenes import (
-    FusionSample,
+    WINDOW_DIVISOR,
+    FusionBatch,
     FusionSceneConfig,
     draw_fusion,
-    load_fusion,
     make_fusion_scene,
     swap_views,
+    window_columns,
 )
-from omnisyn_cli.training.loop import TrainConfig, load_network, train
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.walks import load_walk
+from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 
 TINY = FusionConfig("tiny", channels=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)
@@ -114,7 +116,7 @@ def test_exchanging_the_views_exchanges_the_planes():
 def test_samples_hold_what_the_program_sees_and_the_truth(pool):
     assert pool
     for path in pool:
-        samples = load_samples(path, FusionSample)
+        samples = load_samples(path, FusionBatch)
         assert len(samples) == 2
         for sample in samples:
             assert sample.channels.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE)
@@ -129,13 +131,13 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
             small = sample.pictures.reshape(15, SIZE[0], 2, SIZE[1], 2).mean(axis=(2, 4))
             held = [*range(channel.FUSED_RGB, channel.FUSED_RGB + 3), *range(CANDIDATE_RGB, HYPOTHESIS_DEPTHS)]
             assert np.median(np.abs(small - sample.channels[held])) < 0.02, "pictures are what the planes show, finer"
-        np.testing.assert_array_equal(load_samples(path, FusionSample, 3)[0].truth, samples[1].truth)
+        np.testing.assert_array_equal(load_samples(path, FusionBatch, 3)[0].truth, samples[1].truth)
 
 
 def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
     size = (128, 256)
     config = FusionSceneConfig(size=size, views_between=1, matched_share=1.0, rows=size[0])
-    samples = load_samples(make_fusion_scene(tmp_path, 1, config), FusionSample)
+    samples = load_samples(make_fusion_scene(tmp_path, 1, config), FusionBatch)
     small, large = ([s for s in samples if s.channels.shape[1:] == each] for each in ((64, 128), size))
     assert len(small) == len(large) == 1
     for sample in small:
@@ -146,7 +148,7 @@ def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
 def test_networks_that_paint_frames_see_one_size(tmp_path, monkeypatch):
     monkeypatch.setattr("omnisyn_cli.training.fusion_scenes.MIN_HALVED_ROWS", 64)
     config = FusionSceneConfig(size=(64, 128), views_between=1, preset="paper", matched_share=0.0, known_share=0.0)
-    (sample,) = load_samples(make_fusion_scene(tmp_path, 1, config), FusionSample)
+    (sample,) = load_samples(make_fusion_scene(tmp_path, 1, config), FusionBatch)
     assert sample.channels.shape[1:] == (64, 128)
 
 
@@ -156,7 +158,7 @@ def test_walks_are_shown_with_their_own_views_as_the_truth(tmp_path):
     make_walks(tmp_path / "walks", 2, size=(128, 256), positions=positions)
     walks = tuple(sorted((tmp_path / "walks").iterdir()))
     config = FusionSceneConfig(size=SIZE, matched_share=1.0, rows=2 * SIZE[0], walks=walks)
-    samples = load_samples(make_fusion_scene(tmp_path, 3, config), FusionSample)
+    samples = load_samples(make_fusion_scene(tmp_path, 3, config), FusionBatch)
     walk = load_walk(walks[1])
     shares = sorted((float(s.channels[channel.PATH_POSITION].mean() + 1) / 2, k) for k, s in enumerate(samples))
     assert [share for share, _ in shares] == pytest.approx([0.25, 0.75], abs=0.01)
@@ -174,7 +176,7 @@ def test_walks_of_another_size_are_refused(tmp_path):
 
 def test_scenes_of_several_sizes_share_a_pool(pool, tmp_path):
     """Steps are of one size each; a network of some rows is shown pictures of different ones."""
-    small = load_samples(pool[0], FusionSample)[0]
+    small = load_samples(pool[0], FusionBatch)[0]
     coarse = replace(small, pictures=small.pictures[:, ::2, ::2], truth=small.truth[:, ::2, ::2])
     save_samples(tmp_path / "coarse.npz", [coarse])
     rows = {
@@ -186,7 +188,7 @@ def test_scenes_of_several_sizes_share_a_pool(pool, tmp_path):
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
     config = FusionSceneConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
     again = make_fusion_scene(tmp_path, int(pool[0].stem), config)
-    for one, other in zip(load_samples(pool[0], FusionSample), load_samples(again, FusionSample), strict=True):
+    for one, other in zip(load_samples(pool[0], FusionBatch), load_samples(again, FusionBatch), strict=True):
         np.testing.assert_array_equal(one.channels, other.channels)
 
 
@@ -262,7 +264,7 @@ def test_scores_are_those_of_the_metrics():
 
 
 def test_a_fresh_network_scores_nearly_as_the_geometric_fusion(pool):
-    stored = load_fusion(pool[0], 0)
+    stored = stacked(load_samples(pool[0], FusionBatch, 0))
     torch.manual_seed(0)
     with torch.no_grad():
         picture = fuse_with(build_fusion(TINY), stored.channels, stored.pictures)
@@ -293,6 +295,6 @@ def test_scenes_are_made_with_the_depth_and_the_renderer_of_a_preset(pool, tmp_p
     """The paper's leaves more open than matching does: its surfaces end where depth steps by two metres."""
     config = FusionSceneConfig(size=SIZE, views_between=2, preset="paper", matched_share=0.0, known_share=0.0)
     made = make_fusion_scene(tmp_path, int(pool[0].stem), config)
-    for one, other in zip(load_samples(pool[0], FusionSample), load_samples(made, FusionSample), strict=True):
+    for one, other in zip(load_samples(pool[0], FusionBatch), load_samples(made, FusionBatch), strict=True):
         np.testing.assert_array_equal(one.truth, other.truth)
         assert np.abs(one.channels - other.channels)[channel.SQRT_INVERSE_DEPTHS].mean() > 0.01

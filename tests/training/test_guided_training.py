@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 import torch
 from torch.nn import functional
-from walk_samples import ball_walk, make_walks
+from training_samples import ball_walk, make_walks
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction, feature_directions
-from omnisyn_cli.training.data import Augmentation, at_block_centres, list_scene_files
+from omnisyn_cli.training.data import Augmentation, at_block_centres, list_scene_files, load_walk, save_samples
 from omnisyn_cli.training.guided_depth import (
     GuidedBatch,
     draw_guided,
@@ -21,7 +21,7 @@ from omnisyn_cli.training.guided_depth import (
     with_cap,
 )
 from omnisyn_cli.training.pair_matching import draw_pose_error, facing_the_other, reduced_matching
-from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, matched_walk, save_walk
+from omnisyn_cli.training.walks import WalkConfig, make_walk, matched_walk
 
 
 def warped(batch, factor):
@@ -41,7 +41,7 @@ def warped(batch, factor):
 @pytest.mark.parametrize("augmentation", [None, Augmentation(0, 0, 0, 0, 0, 0)], ids=["exact", "held by hand"])
 def test_what_is_drawn_is_a_pair_its_geometry_and_its_truth(tmp_path, augmentation):
     """The second picture, warped by the true depth, is the first one; by others it is not."""
-    pool = list_scene_files(make_walks(tmp_path, 4), "recipe")
+    pool = list_scene_files(make_walks(tmp_path, 4))
     batch = draw_guided(pool, np.random.default_rng(0), 8, (64, 128), 2.0, augmentation)
     errors = {factor: float((warped(batch, factor) - batch.first).abs().mean()) for factor in (0.9, 1.0, 1.1)}
     assert errors[1.0] < (0.006 if augmentation is None else 0.02)
@@ -51,7 +51,7 @@ def test_what_is_drawn_is_a_pair_its_geometry_and_its_truth(tmp_path, augmentati
 
 
 def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(tmp_path):
-    pool = list_scene_files(make_walks(tmp_path, 2), "recipe")
+    pool = list_scene_files(make_walks(tmp_path, 2))
     one, same = (draw_guided(pool, np.random.default_rng(7), 2, (32, 64), 2.0, Augmentation()) for _ in range(2))
     for name, value in vars(one).items():
         assert torch.equal(value, getattr(same, name)), name
@@ -63,8 +63,8 @@ def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(
 
 def test_narrow_and_wide_pairs_are_drawn_equally_often(tmp_path):
     along = [(0, 0, 0), (0.2, 0, 0), (0.3, 0, 0), (0.4, 0, 0), (1.8, 0, 0)]
-    save_walk(tmp_path / "0.npz", ball_walk(positions=along, radius=2.5))
-    drawn = draw_guided(list_scene_files(tmp_path, "recipe"), np.random.default_rng(0), 300, (64, 128), 2.0)
+    save_samples(tmp_path / "0.npz", [ball_walk(positions=along, radius=2.5)])
+    drawn = draw_guided(list_scene_files(tmp_path), np.random.default_rng(0), 300, (64, 128), 2.0)
     bins = [baseline_bin(float(ratio)) for ratio in drawn.ratio]
     shares = {name: bins.count(name) / 300 for name in BASELINE_BINS if name in bins}
     assert all(share == pytest.approx(1 / len(shares), abs=0.1) for share in shares.values())
@@ -165,7 +165,7 @@ def test_figures_belong_to_the_bin_of_the_pair():
 def test_a_walk_of_a_procedural_scene_reads_back_and_is_the_same_again(tmp_path):
     config = WalkConfig(size=(32, 64), views=3, kinds=("room",), supersample=1)
     walk = make_walk(3, config)
-    save_walk(tmp_path / "3.npz", walk)
+    save_samples(tmp_path / "3.npz", [walk])
     read, again = load_walk(tmp_path / "3.npz"), make_walk(3, config)
     np.testing.assert_array_equal(read.images, again.images)
     np.testing.assert_allclose(read.inverse_depth, again.inverse_depth, rtol=1e-3)
@@ -205,8 +205,8 @@ def test_the_best_match_of_a_cell_is_that_of_what_is_consistent_in_it():
 def test_pairs_are_shown_with_guidance_as_often_as_asked_for(tmp_path):
     for seed in range(2):
         walk = matched_walk(ball_walk(seed), np.random.default_rng(seed), is_exact=False)
-        save_walk(tmp_path / f"{seed}.npz", walk)
-    pool = list_scene_files(tmp_path, "recipe")
+        save_samples(tmp_path / f"{seed}.npz", [walk])
+    pool = list_scene_files(tmp_path)
     batch = draw_guided(pool, np.random.default_rng(0), 40, (32, 64), 2.0, Augmentation(), 0.5)
     is_guided = batch.guidance.flatten(1).any(dim=1)
     assert 10 <= int(is_guided.sum()) <= 30
@@ -216,10 +216,8 @@ def test_pairs_are_shown_with_guidance_as_often_as_asked_for(tmp_path):
 
 def test_guidance_is_turned_with_the_picture(tmp_path):
     """Where matching is consistent it has the depth that is taught, however the camera is held."""
-    save_walk(tmp_path / "0.npz", matched_walk(ball_walk(0, (128, 256)), np.random.default_rng(0), is_exact=True))
-    batch = draw_guided(
-        list_scene_files(tmp_path, "recipe"), np.random.default_rng(0), 12, (128, 256), 2.0, Augmentation(), 1.0
-    )
+    save_samples(tmp_path / "0.npz", [matched_walk(ball_walk(0, (128, 256)), np.random.default_rng(0), is_exact=True)])
+    batch = draw_guided(list_scene_files(tmp_path), np.random.default_rng(0), 12, (128, 256), 2.0, Augmentation(), 1.0)
     taught = functional.avg_pool2d(batch.sqrt_inv_depth, 4)
     is_consistent = batch.guidance[:, 1:2] == 1.0
     assert float(((batch.guidance[:, :1] / taught)[is_consistent] - 1.0).abs().median()) < 0.02

@@ -22,8 +22,8 @@ from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
-from omnisyn_cli.training.data import list_scene_files, save_scene
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, save_checkpoint
+from omnisyn_cli.training.data import list_scene_files, save_samples
 from omnisyn_cli.training.fusion_losses import network_inputs
 from omnisyn_cli.training.joint import (
     JointAnswer,
@@ -35,9 +35,10 @@ from omnisyn_cli.training.joint import (
     joint_answer,
     joint_loss,
 )
-from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, part_of, train
+from omnisyn_cli.training.loop import Trainer, train
+from omnisyn_cli.training.pairs import draw_triples, swap_cameras
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.triples import draw_triples, swap_cameras
+from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 
 PAINTING = FusionConfig("tiny", channels=8, widths=(8, 12, 16), is_direct=True)
@@ -271,7 +272,7 @@ def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
 
 
 def test_pools_of_pairs_are_refused(tmp_path):
-    save_scene(tmp_path / "00000000.npz", ball_scene(along=(0.0, 1.0)))
+    save_samples(tmp_path / "00000000.npz", [ball_scene(along=(0.0, 1.0))])
     with pytest.raises(InputError, match="at least 3 views, got 2"):
         draw_triples(list_scene_files(tmp_path), np.random.default_rng(0), 1, SIZE)
 

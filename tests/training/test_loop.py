@@ -9,8 +9,9 @@ from omnisyn_cli.compute.threads import allowed_threads
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.paper import PaperNetwork
-from omnisyn_cli.training.checkpoint import REQUIRED_KEYS, compact, load_checkpoint, save_checkpoint
-from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
+from omnisyn_cli.training.checkpoint import REQUIRED_KEYS, compact, load_checkpoint, load_network, save_checkpoint
+from omnisyn_cli.training.loop import Trainer, open_trainer, train
+from omnisyn_cli.training.tasks import TrainConfig
 
 
 @pytest.fixture
@@ -90,7 +91,7 @@ def test_a_batch_is_drawn_on_one_thread_while_the_others_learn(config):
     trainer, seen = Trainer(TINY, config), []
     trainer.task = replace(trainer.task, draw=lambda *_: seen.append(allowed_threads()))
     before = allowed_threads()
-    trainer._batch([])
+    trainer._batch()
     trainer.ahead.shutdown()
     assert seen == [1, 1]
     assert allowed_threads() == before

@@ -4,8 +4,9 @@ from training_samples import TINY, make_pool
 from omnisyn_cli.errors import OmnisynError, OutputPathError
 from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
-from omnisyn_cli.training.loop import TrainConfig, train
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.publish import publish, write_manifest
+from omnisyn_cli.training.tasks import TrainConfig
 from synsin_samples import TINY_SIZE, write_synsin_models
 
 

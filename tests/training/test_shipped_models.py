@@ -8,7 +8,7 @@ import torch
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.loop import load_network
+from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.publish import publish
 
 MODELS = Path(__file__).parents[2] / "models"

@@ -8,9 +8,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.training.checkpoint import load_checkpoint
-from omnisyn_cli.training.data import save_arrays
-from omnisyn_cli.training.loop import load_network
+from omnisyn_cli.training.checkpoint import load_checkpoint, load_network
+from omnisyn_cli.training.data import save_samples
+from omnisyn_cli.training.fusion_scenes import FusionBatch
 from omnisyn_cli.training.precision import choose_precision
 from omnisyn_cli.training.publish import publish
 
@@ -58,7 +58,7 @@ def test_a_pool_of_a_size_that_the_network_cannot_halve_is_refused(
 ):
     for name, height in (("pool", pool_height), ("judged", judged_height)):
         picture = np.zeros((1, height, 2 * height), np.float16)
-        save_arrays(tmp_path / name / "0.npz", {"channels_0": picture, "truth_0": picture})
+        save_samples(tmp_path / name / "0.npz", [FusionBatch(picture, picture, picture, np.float32(0.0))])
     pools = ("--pool", tmp_path / "pool", "--validation-pool", tmp_path / "judged")
     result = run("fusion", tmp_path / "run", *pools, "--variant", variant, "--steps", 1)
     assert isinstance(result.exception, InputError)

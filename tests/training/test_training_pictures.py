@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+import torch
 from training_samples import TINY, make_pool
 
-from omnisyn_cli.training.loop import TrainConfig, train
+from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, contact_sheet, depth_pictures
+from omnisyn_cli.training.tasks import TrainConfig
 
 
 @pytest.fixture
@@ -17,7 +19,7 @@ def test_pictures_show_errors_where_they_are_and_nothing_where_the_truth_is_unkn
     sqrt_inv_depth = truth.copy()
     sqrt_inv_depth[1, 2] += 0.5
     truth[3, 3] = np.nan
-    shown = depth_pictures(np.full((4, 8, 3), 0.5, np.float32), sqrt_inv_depth, truth)
+    shown = depth_pictures(torch.full((3, 4, 8), 0.5), *map(torch.from_numpy, (sqrt_inv_depth, truth)))
     assert list(shown) == ["input", "prediction", "truth", "error"]
     right = np.ones((4, 8), bool)
     right[1, 2] = right[3, 3] = False

@@ -8,8 +8,9 @@ from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperNetwork
 from omnisyn_cli.networks.synsin import FeatureEncoder, MonocularNetwork, RefinementDecoder, SynSinConfig
 from omnisyn_cli.training.data import list_scene_files
-from omnisyn_cli.training.loop import TrainConfig, Trainer
+from omnisyn_cli.training.loop import Trainer
 from omnisyn_cli.training.precision import BF16_INSTRUCTIONS, Precision, choose_precision
+from omnisyn_cli.training.tasks import TrainConfig
 
 SYNSIN = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 HALF = Precision(torch.device("cpu"), is_half=True)
@@ -62,7 +63,8 @@ def test_bfloat16_gives_finite_gradients_and_nearly_the_same_loss(tmp_path):
     losses = []
     for precision in (Precision(torch.device("cpu")), HALF):
         trainer = Trainer(TINY, config, precision)
-        losses.append(trainer.advance(list_scene_files(folder)))
+        trainer.pool = list_scene_files(folder)
+        losses.append(trainer.advance())
         for name, parameter in trainer.network.named_parameters():
             assert parameter.dtype == torch.float32
             assert parameter.grad is None or torch.all(torch.isfinite(parameter.grad)), name
@@ -109,9 +111,10 @@ def test_a_run_goes_on_with_another_precision(tmp_path):
     folder = make_pool(tmp_path)
     config = TrainConfig(str(folder), str(folder), size=(64, 128), batch=1)
     half, single = Trainer(TINY, config, HALF), Trainer(TINY, config)
-    half.advance(list_scene_files(folder))
+    half.pool = single.pool = list_scene_files(folder)
+    half.advance()
     single.restore(half.state())
     for one, other in zip(single.network.parameters(), half.network.parameters(), strict=True):
         assert torch.equal(one, other)
-    single.advance(list_scene_files(folder))
+    single.advance()
     assert single.step == 2

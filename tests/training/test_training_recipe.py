@@ -5,15 +5,14 @@ import math
 import pytest
 import torch
 from click.testing import CliRunner
-from walk_samples import write_walk
+from training_samples import ball_walk
 
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks import guided_depth
-from omnisyn_cli.training import recipe_run
+from omnisyn_cli.training import recipe
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.recipe import Recipe, Stage, read_recipe
-from omnisyn_cli.training.recipe_run import RecipeTrainer, WalkSchedule, train_recipe
+from omnisyn_cli.training.recipe import Recipe, RecipeTrainer, Stage, read_recipe, train_recipe
 from omnisyn_cli.training.tasks import TASKS
 
 STAGES = (Stage(32, 2, 4, 1e-3, 5e-4), Stage(64, 1, 4, 4e-4, 0.0))
@@ -28,8 +27,7 @@ PLAN = Recipe(
 def _small(monkeypatch):
     """Small networks, and walks within a ball."""
     monkeypatch.setitem(TASKS["guided"].variants, "small", SMALL)
-    monkeypatch.setattr(recipe_run, "make_walk", lambda seed, _: seed)
-    monkeypatch.setattr(recipe_run, "save_walk", write_walk)
+    monkeypatch.setattr(recipe, "make_walk", lambda seed, _: ball_walk(seed))
 
 
 def same(one, other):
@@ -50,10 +48,10 @@ def test_a_run_that_is_killed_anywhere_ends_as_if_it_had_not_been(tmp_path, monk
     whole = train_recipe(PLAN, tmp_path / "whole")
     advance = RecipeTrainer.advance
 
-    def advance_until_killed(trainer, pool):
+    def advance_until_killed(trainer):
         if trainer.step == killed_at:
             raise KilledError
-        return advance(trainer, pool)
+        return advance(trainer)
 
     monkeypatch.setattr(RecipeTrainer, "advance", advance_until_killed)
     with pytest.raises(KilledError):
@@ -92,14 +90,13 @@ def test_another_machine_goes_on_with_new_scenes_and_warms_up(tmp_path):
     assert trainer.step == 10
     assert trainer.warm_from == 8
     seeds = sorted(int(path.stem) for path in (tmp_path / "elsewhere" / "walks").iterdir())
-    assert seeds[0] >= first.pool.seeds_at(8).stop
+    assert seeds[0] >= first.seeds_at(8).stop
 
 
 def test_scenes_come_soon_at_first_and_the_oldest_go():
     plan = Recipe("small", STAGES, first_walks=5, early_walks=10, steps_per_walk=10, most_walks=18)
-    pool = WalkSchedule(None, None, plan)
-    assert [len(pool.seeds_at(step)) for step in (0, 3, 30, 40)] == [5, 6, 18, 18]
-    assert pool.seeds_at(60) == range(3, 21)
+    assert [len(plan.walks_after(step)) for step in (0, 3, 30, 40)] == [5, 6, 18, 18]
+    assert plan.walks_after(60) == range(3, 21)
 
 
 def test_rates_fall_along_a_cosine_from_stage_to_stage():

@@ -52,7 +52,7 @@ def export_onnx(
 
 def _list_checkpoints(folder: Path) -> None:
     """What could be exported, and the kinds that there are."""
-    from omnisyn_cli.training.found import checkpoints_below
+    from omnisyn_cli.training.checkpoint import checkpoints_below
     from omnisyn_cli.training.tasks import TASKS
 
     found = list(checkpoints_below(folder))

@@ -144,9 +144,10 @@ def _write_walk(
     path: Path, scene: "MeshScene", line: dict[str, "Pose"], size: tuple[int, int], supersample: int, overwrite: bool
 ) -> Path:
     from omnisyn_cli.io.outputs import check_output, make_folder
-    from omnisyn_cli.training.walks import mesh_walk, save_walk
+    from omnisyn_cli.training.data import save_samples
+    from omnisyn_cli.training.walks import mesh_walk
 
     make_folder(path.parent, "a pool")
     check_output(path, overwrite)
-    save_walk(path, mesh_walk(scene, list(line.values()), size, supersample))
+    save_samples(path, [mesh_walk(scene, list(line.values()), size, supersample)])
     return path

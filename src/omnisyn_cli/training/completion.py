@@ -1,30 +1,26 @@
 """Training data for the completion network: what matching makes of procedural scenes, with the truth beside it.
 
-A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
-for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
-
-* ``channels_k`` ``(channels, height, width)`` float16, see
-  :func:`omnisyn_cli.stereo.stereo_features.completion_channels`,
-* ``sqrt_inv_depth_k`` ``(height, width)`` float16, true √(inverse depth × baseline),
-* ``baseline_k`` metres.
+A scene is seen from three places on a line, upright but for small tilts, each with a heading of its own; two of the
+pairs are matched, both ways. Arrays are stored in half precision.
 
 The colours are varied before matching, and some poses are a little wrong, as in life. The truth is that of the centres
 of pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
-from jaxtyping import Float32
+from jaxtyping import Float
+from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.pose import Pose, distance_between
+from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
-from omnisyn_cli.training.data import Augmentation, FeatureBatch, load_samples, save_samples, stack_fields, vary_colours
-from omnisyn_cli.training.line_scenes import PATH_STOPS, TiltedConfig, scene_path, take_photograph
+from omnisyn_cli.training.data import Array, Augmentation, load_samples, save_samples, stacked, vary_colours
+from omnisyn_cli.training.scene_makers import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
 ORDERED_PAIRS = 4
@@ -35,12 +31,17 @@ COLOUR_CHANNELS = (0, 8, 11)
 
 
 @dataclass(frozen=True)
-class FeatureSample:
-    """One panorama of a matched pair: network inputs, true √(inverse depth × baseline), metres."""
+class FeatureBatch:
+    """Stereo features of panoramas and the truth, as tensors; those of one, without the first axis, as arrays."""
 
-    channels: Float32[np.ndarray, "channels height width"]
-    sqrt_inv_depth: Float32[np.ndarray, "height width"]
-    baseline: float
+    channels: Float[Array, "*batch channels height width"]  # see stereo_features
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # true √(inverse depth × baseline); NaN where it is not known
+    baseline: Float[Array, "*batch"]  # metres
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What a network sees."""
+        return (self.channels,)
 
 
 def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
@@ -51,13 +52,13 @@ def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | 
     scene, path = found
     rng = np.random.default_rng([21, seed])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
-    height, width = config.size
+    size = (2 * config.size[0], 2 * config.size[1])  # features have half
     shown = [
-        take_photograph(scene, path[stop].position, tilt, error, rng, (2 * height, 2 * width), config.size)
+        take_photograph(scene, path[stop].position, tilt, error, rng, size, config.size, supersample=2)
         for stop in (0, int(rng.integers(2, PATH_STOPS - 2)), PATH_STOPS - 1)
     ]
     inner = ((0, 1), (1, 2))[int(rng.integers(2))]
-    estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # features have half
+    estimator = MatchingDepthEstimator(MatchingOptions(size=size), threads=1)
     pairs = [pair for i, j in ((0, 2), inner) for pair in _match_pair(shown[i], shown[j], estimator, rng)]
     file = scene_path(folder, seed)
     save_samples(file, pairs)
@@ -65,58 +66,47 @@ def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | 
 
 
 def _match_pair(
-    one: tuple[np.ndarray, np.ndarray, Pose],
-    other: tuple[np.ndarray, np.ndarray, Pose],
-    estimator: MatchingDepthEstimator,
-    rng: np.random.Generator,
-) -> list[FeatureSample]:
+    one: View, other: View, estimator: MatchingDepthEstimator, rng: np.random.Generator
+) -> list[FeatureBatch]:
     """Both panoramas of a pair, photographed with different cameras."""
-    colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
-    first, second = estimator.features(View(colours[0], one[2]), View(colours[1], other[2]))
-    baseline = distance_between(other[2], one[2])
-    sqrt_depths = [sqrt_inv_depth(x[1] * baseline) for x in (one, other)]
-    return [
-        FeatureSample(completion_channels(first, second), sqrt_depths[0], baseline),
-        FeatureSample(completion_channels(second, first), sqrt_depths[1], baseline),
-    ]
+    colours = vary_colours(np.stack([one.image, other.image]), rng, Augmentation())
+    first, second = estimator.features(View(colours[0], one.pose), View(colours[1], other.pose))
+    baseline, samples = distance_between(other.pose, one.pose), []
+    for view, channels in ((one, completion_channels(first, second)), (other, completion_channels(second, first))):
+        if view.known_depth is not None:
+            truth = sqrt_inv_depth(view.known_depth.inverse_depth * baseline)
+            half = channels.astype(np.float16), truth[None].astype(np.float16)
+            samples.append(FeatureBatch(*half, np.float32(baseline)))
+    return samples
 
 
 def draw_completion(
     pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], *, augment: bool
 ) -> FeatureBatch:
-    """Random pairs of random scenes, each of two samples, see :func:`draw_feature_pair`."""
-    batches = [draw_feature_pair(pool[rng.integers(len(pool))], rng, size, augment=augment) for _ in range(pairs)]
-    return FeatureBatch(
-        *(torch.cat(column) for column in zip(*(vars(batch).values() for batch in batches), strict=True))
-    )
+    """Random pairs of random scenes, each of two samples, turned and mirrored at random, with colours varied or not.
 
-
-def draw_feature_pair(path: Path, rng: np.random.Generator, size: tuple[int, int], *, augment: bool) -> FeatureBatch:
-    """Both panoramas of a random pair of a scene, turned and mirrored at random.
-
-    Args:
-        path: of the scene.
-        rng: random numbers.
-        size: ``(height, width)``, that of the pool or half of it: things look larger there.
-        augment: whether colours are varied as well, all pictures of the pair alike.
-
-    Raises InputError: the pool is of another size.
+    ``size`` is ``(height, width)`` of the pool or half of it, where things look larger; InputError: it is neither.
     """
-    first, drawn = 2 * int(rng.integers(ORDERED_PAIRS // 2)), []
+    return stacked([sample for _ in range(pairs) for sample in _draw_pair(pool, rng, size, augment=augment)])
+
+
+def _draw_pair(
+    pool: list[Path], rng: np.random.Generator, size: tuple[int, int], *, augment: bool
+) -> Iterator[FeatureBatch]:
+    """Both panoramas of a random pair of a random scene."""
+    path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(ORDERED_PAIRS // 2))
     for which in (first, first + 1):
-        stored = load_samples(path, FeatureSample, which)[0]
-        rows = len(stored.sqrt_inv_depth)
+        (stored,) = load_samples(path, FeatureBatch, which)
+        rows = stored.channels.shape[-2]
         if rows not in (size[0], 2 * size[0]):
             raise InputError(
                 f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {rows}; choose another --height"
             )
-        pair = stored if stored.sqrt_inv_depth.shape == size else _halve(stored, rng)
-        drawn.append(_roll_and_flip(_jitter_colours(pair, rng) if augment else pair, rng))
-    channels, sqrt_depth, baseline = stack_fields(drawn)
-    return FeatureBatch(channels, sqrt_depth.unsqueeze(1), baseline)
+        sample = stored if rows == size[0] else _halve(stored, rng)
+        yield _roll_and_flip(_jitter_colours(sample, rng) if augment else sample, rng)
 
 
-def _jitter_colours(pair: FeatureSample, rng: np.random.Generator) -> FeatureSample:
+def _jitter_colours(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:
     channels = pair.channels.copy()
     gain, gamma = np.float32(rng.uniform(0.8, 1.2)), np.float32(rng.uniform(0.8, 1.2))
     tint = rng.uniform(0.95, 1.05, (3, 1, 1)).astype(np.float32)
@@ -127,19 +117,19 @@ def _jitter_colours(pair: FeatureSample, rng: np.random.Generator) -> FeatureSam
     return replace(pair, channels=channels)
 
 
-def _roll_and_flip(pair: FeatureSample, rng: np.random.Generator) -> FeatureSample:
+def _roll_and_flip(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:
     """A mirror image changes no channel's sign, and no channel depends on the seam."""
-    flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(pair.sqrt_inv_depth.shape[1]))
+    flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(pair.sqrt_inv_depth.shape[-1]))
     channels, sqrt_depth = (np.roll(x[..., ::flip], turn, axis=-1) for x in (pair.channels, pair.sqrt_inv_depth))
-    return FeatureSample(channels, sqrt_depth, pair.baseline)
+    return FeatureBatch(channels, sqrt_depth, pair.baseline)
 
 
-def _halve(pair: FeatureSample, rng: np.random.Generator) -> FeatureSample:
+def _halve(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:
     """One of four pixels, the same in all channels and the truth; colours are averaged instead."""
-    height, width = pair.sqrt_inv_depth.shape
+    height, width = pair.sqrt_inv_depth.shape[-2:]
     row, col = rng.integers(2, size=2)
     channels = pair.channels[:, row::2, col::2].copy()
     for begin in COLOUR_CHANNELS:
         colours = pair.channels[begin : begin + 3].reshape(3, height // 2, 2, width // 2, 2)
         channels[begin : begin + 3] = colours.mean(axis=(2, 4))
-    return FeatureSample(channels, pair.sqrt_inv_depth[row::2, col::2], pair.baseline)
+    return FeatureBatch(channels, pair.sqrt_inv_depth[:, row::2, col::2], pair.baseline)

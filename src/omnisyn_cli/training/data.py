@@ -1,226 +1,173 @@
-"""Training data for the depth network: a pool of rendered scenes on disk, and batches drawn and varied from it.
+"""Training data on disk, and what is done to pictures before networks see them.
 
-A *pool* is a folder of ``NNNNNNNN.npz`` files, one per scene, each with a few views along one straight line, all in
-the epipole frame of that line (row 0 looks along it):
+A *pool* is a folder of ``NNNNNNNN.npz`` files, one per scene. A file holds samples, which are dataclasses of arrays: it
+has a ``NAME_k`` for every field of the one at ``k``. Files of walks have one (:class:`Walk`), those for the completion
+and the fusion network several (:mod:`omnisyn_cli.training.completion`, :mod:`omnisyn_cli.training.fusion_scenes`).
 
-* ``images`` ``(views, height, width, 3)`` uint8,
-* ``inverse_depth`` ``(views, height, width)`` float16, 1/metre, 0 = nothing there,
-* ``along`` ``(views,)`` float32, metres along the line, ascending,
-* ``up`` ``(3,)`` float32, the world's up in that frame; files without it are of level lines.
-
-Any two views are a stereo pair of some baseline; read from the other end (turned by 180°) they are another.
 A batch depends on the seed, the step and the pool alone, so a run can stop and go on anywhere.
 """
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Shaped, UInt8
-from torch import Tensor
+from jaxtyping import Float, Float32, Int8, Shaped, UInt8
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.io.outputs import write_errors
+from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
+from omnisyn_cli.types import DepthEstimate, View
 
-REQUIRED_ARRAYS = {"pool": "along", "recipe": "positions", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
+Array = Any  # numpy.ndarray in a sample, torch.Tensor in a batch
+
+Sample = TypeVar("Sample")
+
+REQUIRED_ARRAYS = {"pool": "positions_0", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
 """By the command that makes a kind of pool, an array that only its files have."""
-
-WINDOW_DIVISOR = 4
-"""Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter."""
-
-MIN_RELEVANCE = 1e-3
-"""Relevance of a column without any, so that windows are drawn there as well, now and then."""
 
 MAX_SURFACE_STEP = 0.1
 """Relative difference of inverse depth between neighbouring pixels of one surface."""
 
-LEVEL_UP = np.array([0.0, 0.0, 1.0], np.float32)
-"""Up in the epipole frame of a level line: the seam."""
-
 
 @dataclass(frozen=True)
-class TrainingScene:
-    """Views of one scene along a line, see the module's docstring."""
+class Walk:
+    """Upright panoramas of one scene with one heading, along a straight line; any two of them are a stereo pair.
+
+    Some pairs were matched, both ways round, at a quarter of the size: what matching says of the first of two, turned
+    so that the other camera is ahead, see :mod:`omnisyn_cli.training.pair_matching`. Floats but for positions are
+    stored in half precision.
+    """
 
     images: UInt8[np.ndarray, "views height width 3"]
-    inverse_depth: Float[np.ndarray, "views height width"]
-    along: Float[np.ndarray, " views"]
-    up: Float[np.ndarray, " 3"] = field(default_factory=lambda: LEVEL_UP)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Pairs for one step.
-
-    Attributes:
-        first, second: ``(batch, 3, height, width)`` colours in [0, 1] in the epipole frame of each pair.
-        sqrt_inv_depth: ``(batch, 1, height, width)`` √(inverse depth × baseline) of the first.
-        baseline: ``(batch,)`` metres.
-    """
-
-    first: Float[Tensor, "batch 3 height width"]
-    second: Float[Tensor, "batch 3 height width"]
-    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
-    baseline: Float[Tensor, " batch"]
-
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What a network sees."""
-        return self.first, self.second
-
-
-@dataclass(frozen=True)
-class FeatureBatch:
-    """Stereo features of panoramas and the truth.
-
-    Attributes:
-        channels: ``(batch, channels, height, width)``, see
-            :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
-        sqrt_inv_depth: ``(batch, 1, height, width)`` true √(inverse depth × baseline); NaN where it is not known.
-        baseline: ``(batch,)`` metres.
-    """
-
-    channels: Float[Tensor, "batch channels height width"]
-    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
-    baseline: Float[Tensor, " batch"]
-
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What a network sees."""
-        return (self.channels,)
+    inverse_depth: Float[np.ndarray, "views height width"]  # 1/metre, 0 = nothing there, NaN = not known
+    positions: Float32[np.ndarray, "views 3"]  # metres, y up, −z ahead, in the order of the line
+    is_mesh: bool = False
+    pairs: Int8[np.ndarray, "pairs 2"] = field(default_factory=lambda: np.zeros((0, 2), np.int8))
+    matching: Float[np.ndarray, "pairs 4 rows cols"] = field(default_factory=lambda: np.zeros((0, 4, 1, 2), np.float16))
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far the colours of a pair are varied; ranges are half widths around "unchanged".
+    """How far the colours of a pair are varied; ranges are half widths around "unchanged"."""
 
-    Attributes:
-        exposure: common factor of both panoramas.
-        relative: factor of one panorama and channel against the other (exposure and white balance).
-        gamma: common exponent.
-        noise: greatest standard deviation.
-        blur: chance that one panorama is blurred.
-        jpeg: chance that one panorama went through JPEG.
-    """
-
-    exposure: float = 0.35
-    relative: float = 0.08
-    gamma: float = 0.3
-    noise: float = 0.025
-    blur: float = 0.15
-    jpeg: float = 0.3
-
-
-def save_scene(path: Path, scene: TrainingScene) -> None:
-    """Write one file of a pool, see :func:`save_arrays`."""
-    arrays = {
-        "images": scene.images,
-        "inverse_depth": scene.inverse_depth.astype(np.float16),
-        "along": scene.along.astype(np.float32),
-        "up": scene.up.astype(np.float32),
-    }
-    save_arrays(path, arrays)
-
-
-def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays by name, whole or not at all; a kill leaves no partial file under the name.
-
-    Raises WriteError: the disk is full, or the folder went away.
-    """
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    with write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with partial.open("wb") as file:
-                np.savez(file, **arrays)  # type: ignore[arg-type]
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+    exposure: float = 0.35  # common factor of both panoramas
+    relative: float = 0.08  # factor of one panorama and channel against the other (exposure and white balance)
+    gamma: float = 0.3  # common exponent
+    noise: float = 0.025  # greatest standard deviation
+    blur: float = 0.15  # chance that one panorama is blurred
+    jpeg: float = 0.3  # chance that one panorama went through JPEG
 
 
 def save_samples(path: Path, samples: Sequence[Any]) -> None:
-    """Write dataclasses of arrays and numbers; the file has a ``NAME_k`` for every field of the one at ``k``.
+    """Write dataclasses of arrays and numbers, whole or not at all; a kill leaves no partial file under the name.
 
-    Arrays are in half precision.
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+        OutputPathError: the folder cannot be made.
     """
-    arrays = {
-        f"{name}_{k}": np.asarray(value, np.float16 if np.ndim(value) else np.float32)
-        for k, sample in enumerate(samples)
-        for name, value in vars(sample).items()
-    }
-    save_arrays(path, arrays)
+    arrays = {f"{name}_{k}": value for k, sample in enumerate(samples) for name, value in vars(sample).items()}
+    make_folder(path.parent, "a pool")
+    with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
 
 
 def load_samples(
-    path: Path, kind: type[Any], which: int | None = None, dtype: type[np.floating] = np.float32
-) -> list[Any]:
-    """All samples of a file, or the one at ``which``, counted on beyond the last from the first again."""
-    names = [entry.name for entry in fields(kind)]
+    path: Path, kind: type[Sample], which: int | None = None, dtype: type[np.floating] = np.float32
+) -> list[Sample]:
+    """All samples of a file, or the one at ``which``, counted on beyond the last from the first again.
+
+    What was stored in half precision has ``dtype``.
+    """
+    names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
     with np.load(path) as file:
         count = len(file.files) // len(names)
-        return [
-            kind(*(file[f"{name}_{k}"].astype(dtype, copy=False) for name in names))
-            for k in (range(count) if which is None else (which % count,))
+        arrays = [
+            [file[f"{name}_{k}"] for name in names] for k in (range(count) if which is None else (which % count,))
         ]
+    return [kind(*(x.astype(dtype) if x.dtype == np.float16 != dtype else x for x in sample)) for sample in arrays]
 
 
-def stack_fields(samples: Sequence[Any]) -> list[Tensor]:
-    """Each field of all samples, as tensors."""
+def load_walk(path: Path) -> Walk:
+    """Read one file of a pool of walks."""
+    (walk,) = load_samples(path, Walk)
+    return walk
+
+
+def draw_walk(pool: list[Path], rng: np.random.Generator, height: int = 1, least_views: int = 2) -> Walk:
+    """A random walk.
+
+    Raises InputError: its rows are no multiple of ``height``, or it has fewer views.
+    """
+    path = pool[rng.integers(len(pool))]
+    walk = load_walk(path)
+    views, rows = walk.images.shape[:2]
+    if rows % height:
+        raise InputError(f"expected scenes of a multiple of {height} rows, got {rows} in {path}; make others")
+    if views < least_views:
+        raise InputError(
+            f"expected scenes of at least {least_views} views, got {views} in {path}; make them with `omnisyn train "
+            "pool`"
+        )
+    return walk
+
+
+def walk_views(walk: Walk) -> list[View]:
+    """The panoramas of a walk with their true depth, the first at the origin."""
+    valid = np.ones(walk.inverse_depth.shape[1:], np.float32)
+    return [
+        View(
+            image.astype(np.float32) / np.float32(255.0),
+            Pose(np.eye(3), (position - walk.positions[0]).astype(np.float64)),
+            known_depth=DepthEstimate(inverse_depth, valid),
+        )
+        for image, position, inverse_depth in zip(walk.images, walk.positions, walk.inverse_depth, strict=True)
+    ]
+
+
+def stacked(samples: Sequence[Sample]) -> Sample:
+    """Dataclasses of arrays and numbers as one of tensors, with an axis more: a batch."""
     columns = zip(*(vars(sample).values() for sample in samples), strict=True)
-    return [torch.from_numpy(np.stack(column)) for column in columns]
+    return type(samples[0])(*(torch.from_numpy(np.stack(column)) for column in columns))
 
 
-def window_columns(relevance: Shaped[np.ndarray, "height width"], rng: np.random.Generator) -> np.ndarray:
-    """A quarter of the columns side by side, across the seam or not, where there is much of what matters."""
-    height, width = relevance.shape
-    columns = direction_tables(height, width)[0] @ relevance + MIN_RELEVANCE
-    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
-    inside = sums[width // WINDOW_DIVISOR :][:width] - sums[:width]
-    begin = int(rng.choice(width, p=inside / inside.sum()))
-    return np.asarray((begin + np.arange(width // WINDOW_DIVISOR)) % width)
-
-
-def load_scene(path: Path) -> TrainingScene:
-    """Read one file of a pool."""
-    with np.load(path) as file:
-        up = file.get("up", LEVEL_UP)
-        return TrainingScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
-
-
-def list_scene_files(folder: Path, *makers: str) -> list[Path]:
+def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
     """All scenes of a pool in a fixed order.
 
     Args:
         folder: of the pool.
-        makers: commands that such pools are made by, of :data:`REQUIRED_ARRAYS`; `pool` unless said otherwise.
+        maker: command that such pools are made by, of :data:`REQUIRED_ARRAYS`.
 
-    Raises InputError: there are none, or of another kind.
+    Raises InputError: there are none, they are of another kind, or the first one is damaged.
     """
-    paths = sorted(folder.glob("*.npz"))
-    makers = makers or ("pool",)
-    command = " or ".join(f"`omnisyn train {maker}`" for maker in makers)
+    command, paths = f"`omnisyn train {maker}`", scene_files(folder)
     if not paths:
         raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; make one with {command}")
-    if not any(is_made_by(maker, paths[0]) for maker in makers):
+    if not is_made_by(maker, paths[0]):
         raise InputError(
             f"expected scenes made by {command} in {folder}, got scenes for another network; name its pool"
         )
     return paths
 
 
-def is_made_by(maker: str, path: Path) -> bool:
-    """Whether a scene is of the pools that a command makes, one of :data:`REQUIRED_ARRAYS`.
+def list_walks(folder: Path) -> list[Path]:
+    """The files of a folder of walks, in order; none where it holds something else."""
+    paths = scene_files(folder)
+    return paths if paths and is_made_by("pool", paths[0]) else []
 
-    Raises InputError: the file is damaged.
-    """
+
+def scene_files(folder: Path) -> list[Path]:
+    """In order, without those that are being written."""
+    return sorted(folder.glob("[!.]*.npz"))
+
+
+def is_made_by(maker: str, path: Path) -> bool:
+    """Whether a scene is of the pools that a command makes, one of :data:`REQUIRED_ARRAYS`; InputError: damaged."""
     try:
         with np.load(path) as file:
             return REQUIRED_ARRAYS[maker] in file
@@ -229,14 +176,7 @@ def is_made_by(maker: str, path: Path) -> bool:
 
 
 def check_height(pool: list[Path], multiple: int) -> None:
-    """Refuse a pool of renderings, which are learned from at the size they have.
-
-    Args:
-        pool: from :func:`list_scene_files`; all scenes of a pool have one size.
-        multiple: that the height has to be of.
-
-    Raises InputError: it is not.
-    """
+    """Refuse (InputError) a pool of renderings, which are learned from at the size they have, by its first scene."""
     with np.load(pool[0]) as file:
         height = file["channels_0"].shape[-2]
     if height % multiple:
@@ -246,73 +186,11 @@ def check_height(pool: list[Path], multiple: int) -> None:
         )
 
 
-def draw_batch(
-    pool: list[Path],
-    rng: np.random.Generator,
-    batch: int,
-    size: tuple[int, int],
-    augmentation: Augmentation | None = None,
-    max_sqrt_inv_depth: float = 2.0,
-) -> Batch:
-    """Random pairs of random scenes at ``size`` (a whole fraction of the pool's size).
-
-    Without an augmentation the colours stay as they are; pairs are still read from either end and mirrored at random.
-
-    Raises InputError: the pool's size is not a multiple of ``size``.
-    """
-    pairs = [_draw_pair(load_scene(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(batch)]
-    colours, inverse_depth, baseline = (np.stack(column) for column in zip(*pairs, strict=True))
-    sqrt_inv_depth = np.sqrt(inverse_depth * baseline[:, None, None]).clip(max=max_sqrt_inv_depth)
-    return Batch(
-        first=as_tensor(colours[:, 0]),
-        second=as_tensor(colours[:, 1]),
-        sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
-        baseline=torch.from_numpy(baseline),
-    )
-
-
-def _draw_pair(
-    scene: TrainingScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
-) -> tuple[np.ndarray, np.ndarray, np.float32]:
-    """Colours of both, inverse depth of the first, metres."""
-    check_scene_size(scene, size)
-    images, inverse_depths, along = draw_ordered_views(scene, 2, rng)
-    colours = np.stack([reduced(image, size).astype(np.float32) for image in images]) / np.float32(255.0)
-    if augmentation is not None:
-        colours = vary_colours(colours, rng, augmentation)
-    return colours, at_block_centres(inverse_depths[0], size), np.float32(abs(along[1] - along[0]))
-
-
-def draw_ordered_views(
-    scene: TrainingScene, views: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Images, inverse depths and places of some views, in order from either end, mirrored or not."""
-    chosen = np.sort(rng.choice(len(scene.along), views, replace=False))
-    images, inverse_depths, along = scene.images[chosen], scene.inverse_depth[chosen], scene.along[chosen]
-    if rng.random() < 0.5:  # from the other end: the frame turned by 180° about the azimuth of the ground
-        images, inverse_depths, along = images[::-1, ::-1, ::-1], inverse_depths[::-1, ::-1, ::-1], along[::-1]
-    if rng.random() < 0.5:
-        images, inverse_depths = images[:, :, ::-1], inverse_depths[:, :, ::-1]
-    return images, inverse_depths, along
-
-
-def check_scene_size(scene: TrainingScene, size: tuple[int, int]) -> None:
-    """InputError unless views are a whole multiple of ``size``."""
-    rows = scene.images.shape[1]
-    if rows % size[0]:
-        raise InputError(f"expected a pool of a multiple of {size[0]} rows, got {rows}; render another")
-
-
 def reduced(image: Shaped[np.ndarray, "rows cols 3"], size: tuple[int, int]) -> Shaped[np.ndarray, "height width 3"]:
     """Means over blocks."""
     if image.shape[:2] == size:
         return image
     return np.asarray(cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA))
-
-
-def as_tensor(images: Float32[np.ndarray, "batch height width 3"]) -> Float32[Tensor, "batch 3 height width"]:
-    """Colours first, as networks see them."""
-    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).contiguous()
 
 
 def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:

@@ -12,8 +12,7 @@ from omnisyn_cli.training.losses import polar_weights
 ABSOLUTE_WEIGHT, SQUARED_WEIGHT = 0.5, 0.02
 """Weights of absolute errors, and of squared errors in units of the typical one."""
 
-TYPICAL_SQUARED_ERROR = 5e-3
-"""Squared error of the geometric fusion where it is not known: 23 dB."""
+TYPICAL_SQUARED_ERROR = 5e-3  # Squared error of the geometric fusion where it is not known: 23 dB
 
 MIN_TYPICAL_ERROR, MIN_SQUARED_ERROR = 1e-4, 1e-10
 """Floors: easy scenes count at most as those of 40 dB; no picture counts as better than 100 dB."""
@@ -65,11 +64,8 @@ def fusion_loss(
 ) -> Tensor:
     """Absolute and squared differences from the truth, weighted half by solid angle and half by pixels; a scalar.
 
-    Args:
-        picture: of the network.
-        truth: of the same size, or larger by a whole factor.
-        typical_error: squared error of the geometric fusion, which squared errors are divided by. A decibel in an easy
-            scene then counts as much as one in a hard scene.
+    The truth has the size of the picture, or is larger by a whole factor. Squared errors are divided by the typical
+    one, that of the geometric fusion: a decibel in an easy scene then counts as much as one in a hard scene.
 
     Source: OmniSyn, section 3.6, of the absolute differences.
     """

@@ -1,18 +1,9 @@
 """Training data for the fusion network: renderings as the program makes them, and the truth.
 
-A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a straight way through the scene are
-photographed, their depth is estimated or, for a few, known, both surfaces are rendered from positions in between. For
-each position ``k``:
-
-* ``channels_k`` ``(channels, height, width)`` float16, see :mod:`omnisyn_cli.fusion.input_channels` and
-  :mod:`omnisyn_cli.fusion.warp_candidates`,
-* ``pictures_k`` ``(15, rows, cols)`` float16, at twice the size of the pool: the geometric fusion, then the four
-  backward-warped candidates,
-* ``truth_k`` ``(3, rows, cols)`` float16, the scene as it is seen from there, in [0, 1],
-* ``fused_error_k``, the mean squared error of the geometric fusion.
-
-Photographs and renderings are made at twice that size again. Every position is stored for a network at the size
-of the pool and, from 128 rows on, for one at half of it, since frames of several sizes are corrected; their order is
+The ends of a straight way through a scene are photographed, their depth is estimated or, for a few, known, both
+surfaces are rendered from positions in between. Pictures are stored at twice the size of the pool; photographs and
+renderings are made at twice that size again. Every position is stored, in half precision, for a network at the size of
+the pool and, from 128 rows on, for one at half of it, since frames of several sizes are corrected; their order is
 random. Networks that paint frames see one size. Some poses are a little wrong, as in life.
 
 Instead of new scenes a pool may show walks that were made before, see :mod:`omnisyn_cli.training.walks`: their ends are
@@ -28,29 +19,27 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
-from torch import Tensor
+from jaxtyping import Float, Float32, Shaped
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion import warp_candidates as warp
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import WarpCandidates
-from omnisyn_cli.geometry.pose import Pose, interpolate_pose
-from omnisyn_cli.geometry.sphere import mean_over_sphere
+from omnisyn_cli.geometry.pose import interpolate_pose
+from omnisyn_cli.geometry.sphere import direction_tables, mean_over_sphere
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.scenes import Scene, render_panorama
+from omnisyn_cli.scenes import render_panorama
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.training.data import load_samples, save_samples, stack_fields, window_columns
-from omnisyn_cli.training.line_scenes import TiltedConfig, noisy_pose, random_rotation, scene_path
-from omnisyn_cli.training.walks import load_walk, walk_views
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
+from omnisyn_cli.training.data import Array, load_samples, load_walk, save_samples, stacked, walk_views
+from omnisyn_cli.training.scene_makers import TiltedConfig, noisy_pose, scene_path, take_photograph
+from omnisyn_cli.types import DepthEstimator, Layer, View
 
 RENDER_SCALE, PICTURE_SCALE = 4, 2
 """Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
@@ -83,6 +72,12 @@ DIFFERENCE_CHANNELS = (
 )
 """Channels that are differences of colours."""
 
+WINDOW_DIVISOR = 4
+"""Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter."""
+
+MIN_RELEVANCE = 1e-3
+"""Relevance of a column without any, so that windows are drawn there as well, now and then."""
+
 MIN_HYPOTHESIS_GAP, HYPOTHESIS_RELEVANCE = 0.05, 0.3
 """Difference of √(inverse depth × baseline) between depth hypotheses that matters, and its relevance beside that of a
 contradiction between the views."""
@@ -96,25 +91,15 @@ SIGNED_CHANNELS = (channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POS
 
 @dataclass(frozen=True)
 class FusionSceneConfig(TiltedConfig):
-    """How scenes are rendered.
+    """How scenes are rendered."""
 
-    Attributes:
-        views_between: per scene.
-        position_range: shares of the way between which they lie.
-        preset: whose depth and renderer they are made with.
-        matched_share: share of scenes whose depth comes from matching alone instead.
-        known_share: share of scenes whose depth is the true one.
-        rows: that depth is looked for at.
-        walks: files of walks to show, the seed's in turn; none makes scenes.
-    """
-
-    views_between: int = 3
-    position_range: tuple[float, float] = (0.1, 0.9)
-    preset: str = DEFAULT_PRESET
-    matched_share: float = 0.1
-    known_share: float = 0.1
-    rows: int = 1024
-    walks: tuple[Path, ...] = ()
+    views_between: int = 3  # per scene
+    position_range: tuple[float, float] = (0.1, 0.9)  # shares of the way between which they lie
+    preset: str = DEFAULT_PRESET  # whose depth and renderer they are made with
+    matched_share: float = 0.1  # share of scenes whose depth comes from matching alone instead
+    known_share: float = 0.1  # share of scenes whose depth is the true one
+    rows: int = 1024  # that depth is looked for at
+    walks: tuple[Path, ...] = ()  # files of walks to show, the seed's in turn; none makes scenes
     size: tuple[int, int] = (128, 256)
 
     @property
@@ -124,72 +109,46 @@ class FusionSceneConfig(TiltedConfig):
 
 
 @dataclass(frozen=True)
-class FusionSample:
-    """One position, or some of its columns: network inputs, fused picture with candidates, truth, squared error."""
-
-    channels: Float32[np.ndarray, "channels height width"]
-    pictures: Float32[np.ndarray, "15 rows cols"]
-    truth: Float32[np.ndarray, "3 rows cols"]
-    fused_error: Float32[np.ndarray, ""]
-
-
-@dataclass(frozen=True)
 class FusionBatch:
-    """Windows for one step, stacked."""
+    """Positions, or some of their columns, for one step, as tensors; one, without the first axis, as arrays."""
 
-    channels: Float[Tensor, "batch channels height width"]
-    pictures: Float[Tensor, "batch 15 rows cols"]
-    truth: Float[Tensor, "batch 3 rows cols"]
-    fused_error: Float[Tensor, " batch"]
+    channels: Float[Array, "*batch channels height width"]  # network inputs
+    pictures: Float[Array, "*batch 15 rows cols"]  # the fused picture with its candidates
+    truth: Float[Array, "*batch 3 rows cols"]  # what is to be seen
+    fused_error: Float[Array, "*batch"]  # squared error of the fused picture
 
 
 class _RecordingFuser(ResidualFuser):
-    """Fuses by rules, and keeps what a network would be shown and what it would choose from.
+    """Fuses by rules, and keeps what networks of several heights would be shown and would choose from.
 
-    Args:
-        size: height and width of the frames.
-        rows: that the network would look at.
-        stored_size: height and width of the pictures that are kept.
+    Heights that frames are too small for say nothing. Pictures are kept at ``stored_size``.
     """
 
-    def __init__(self, size: tuple[int, int], rows: int, stored_size: tuple[int, int]) -> None:
-        super().__init__(size, lambda channels: channels[:4], rows, threads=1)
+    def __init__(self, size: tuple[int, int], heights: Sequence[int], stored_size: tuple[int, int]) -> None:
+        super().__init__(size, lambda channels: channels[:4], heights[0], threads=1)
         self._stored_size = stored_size
+        self._others = [_RecordingFuser(size, [rows], stored_size) for rows in heights[1:]]
         self.seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __call__(
+        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
+        confidence: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """See :class:`omnisyn_cli.types.Fuser`; what was seen before is forgotten."""
+        self.seen.clear()
+        picture = super().__call__(first, second, t, out, confidence)
+        for other in self._others:
+            picture = other(first, second, t, out, confidence)
+            self.seen += other.seen
+        return picture
 
     def correct(
         self, channels: np.ndarray, candidates: WarpCandidates, strength: np.ndarray, picture: np.ndarray
     ) -> None:
         """See :class:`omnisyn_cli.fusion.residual.ResidualFuser`; nothing is corrected."""
         pictures = [picture, *candidates.candidates(self.size)[..., :3]]
-        self.seen.append(
-            (channels, np.concatenate([downsample_channels_first(each, self._stored_size) for each in pictures]))
-        )
-
-
-class _MultiSizeRecorder:
-    """Fuses by rules, and keeps what networks that look at several sizes would be shown.
-
-    Args:
-        size: height and width of the frames.
-        heights: that they look at; those that frames are too small for, or it, say nothing.
-        stored_size: height and width of the pictures that are kept.
-    """
-
-    def __init__(self, size: tuple[int, int], heights: Sequence[int], stored_size: tuple[int, int]) -> None:
-        self.recorders = [_RecordingFuser(size, rows, stored_size) for rows in heights]
-
-    def __call__(
-        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
-        confidence: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
-        """See :class:`omnisyn_cli.types.Fuser`."""
-        pictures = [recorder(first, second, t, out, confidence) for recorder in self.recorders]
-        return pictures[-1]
-
-    def seen(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The channels and pictures since the last call."""
-        return [recorder.seen.pop() for recorder in self.recorders if recorder.seen]
+        shown = [downsample_channels_first(each, self._stored_size) for each in pictures]
+        self.seen.append((channels, np.concatenate(shown)))
 
 
 def downsample_channels_first(
@@ -203,8 +162,7 @@ def downsample_channels_first(
 def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Path | None:
     """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided.
 
-    Raises:
-        InputError: its walk has pictures of another size.
+    Raises InputError: its walk has pictures of another size.
     """
     rng = np.random.default_rng([23, seed])
     run_config = replace(PRESETS[config.preset].config, depth=_depth_source(rng.random(), config))
@@ -233,7 +191,9 @@ def _pair_of_scene(seed: int, rng: np.random.Generator, config: FusionSceneConfi
         return None
     scene, (first, second) = found
     tilt, error, size = float(rng.choice(config.tilts)), config.pose_error(rng), config.photograph_size
-    ends = [_photograph(scene, end.position, tilt, error, size, rng) for end in (first, second)]
+    ends = [
+        take_photograph(scene, end.position, tilt, error, rng, size, size, supersample=1) for end in (first, second)
+    ]
     shares = np.sort(rng.uniform(*config.position_range, config.views_between))
     path = [Waypoint(0, share, interpolate_pose(ends[0].pose, ends[1].pose, share)) for share in shares]
     return _TruePair(ends, path, lambda k: render_panorama(scene, path[k].pose, size, supersample=1, threads=1)[0])
@@ -267,37 +227,21 @@ def _estimator(depth: DepthSource) -> DepthEstimator:
     return make_estimator(depth, device="cpu", threads=1)
 
 
-def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionSample]:
+def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) -> Iterator[FusionBatch]:
     size, stored_size = config.photograph_size, (PICTURE_SCALE * config.size[0], PICTURE_SCALE * config.size[1])
     rows, by_rules = config.size[0], run_config.fusion_strategy.by_rules
-    fuser = _MultiSizeRecorder(
-        size, (rows, rows // 2) if by_rules and rows >= MIN_HALVED_ROWS else (rows,), stored_size
-    )
+    heights = (rows, rows // 2) if by_rules and rows >= MIN_HALVED_ROWS else (rows,)
+    fuser = _RecordingFuser(size, heights, stored_size)
     cut = Cut(run_config.cut, run_config.cut_metres)
     options = SynthesisOptions(size, run_config.renderer_strategy.load(), cut, threads=1)
     method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
     for k, _ in enumerate(synthesize(pair.ends, pair.path, method)):
-        if seen := fuser.seen():
+        if fuser.seen:
             truth = downsample_channels_first(pair.truth(k), stored_size)
-            for channels, pictures in seen:
-                yield FusionSample(channels, pictures, truth, _squared_error(pictures[:3], truth))
-
-
-def _squared_error(
-    picture: Float32[np.ndarray, "3 rows cols"], truth: Float32[np.ndarray, "3 rows cols"]
-) -> Float32[np.ndarray, ""]:
-    """Mean over the sphere."""
-    return np.asarray(mean_over_sphere(np.square(picture - truth).transpose(1, 2, 0)), np.float32)
-
-
-def _photograph(
-    scene: Scene, position: np.ndarray, tilt: float, error: float, size: tuple[int, int], rng: np.random.Generator
-) -> View:
-    """A panorama with the pose that it is said to have, and its true depth."""
-    pose = Pose(random_rotation(rng, tilt), position)
-    image, depth = render_panorama(scene, pose, size, supersample=1, threads=1)
-    known = DepthEstimate((1.0 / depth).astype(np.float32), np.ones(size, np.float32))
-    return View(np.asarray(image, np.float32), noisy_pose(pose, error, rng), known_depth=known)
+            for channels, pictures in fuser.seen:
+                error = mean_over_sphere(np.square(pictures[:3] - truth).transpose(1, 2, 0))
+                half, squared = np.float16, np.asarray(error, np.float32)
+                yield FusionBatch(channels.astype(half), pictures.astype(half), truth.astype(half), squared)
 
 
 def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:
@@ -307,22 +251,17 @@ def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> Fusio
     columns; it lies, across the seam or not, preferably where the views contradict each other. All have the sizes of
     the first that is drawn: a pool may hold scenes of several.
     """
-    drawn: list[FusionSample] = []
+    drawn: list[FusionBatch] = []
     while len(drawn) < batch:
         path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
-        sample = load_samples(path, FusionSample, which, np.float16)[0]
+        sample = load_samples(path, FusionBatch, which, np.float16)[0]
         rows = sample.channels.shape[-2], sample.truth.shape[-2]
         if not drawn or rows == (drawn[0].channels.shape[-2], drawn[0].truth.shape[-2]):
             drawn.append(_augment(sample, rng))
-    return FusionBatch(*stack_fields(drawn))
+    return stacked(drawn)
 
 
-def load_fusion(path: Path, which: int) -> FusionBatch:
-    """A place of a scene as it is."""
-    return FusionBatch(*stack_fields(load_samples(path, FusionSample, which)))
-
-
-def _augment(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
+def _augment(sample: FusionBatch, rng: np.random.Generator) -> FusionBatch:
     """All that is done to colours is linear, so that blends of varied colours are varied blends."""
     channels, pictures, truth = _window(sample, rng)
     tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
@@ -337,10 +276,10 @@ def _augment(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
         channels, pictures, truth = (x[..., ::-1] for x in (channels, pictures, truth))
     fused_error = np.asarray(sample.fused_error * np.square(tint).mean(), np.float32)
     channels, pictures, truth = map(np.ascontiguousarray, (channels, pictures, truth))
-    return FusionSample(channels, pictures, truth, fused_error)
+    return FusionBatch(channels, pictures, truth, fused_error)
 
 
-def _window(sample: FusionSample, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _window(sample: FusionBatch, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Planes and pictures of a quarter of the columns, in single precision."""
     relevance, farthest, nearest = (
         sample.channels[k].astype(np.float32)
@@ -354,6 +293,16 @@ def _window(sample: FusionSample, rng: np.random.Generator) -> tuple[np.ndarray,
         for x, some in ((sample.channels, columns), (sample.pictures, fine), (sample.truth, fine))
     )
     return channels, pictures, truth
+
+
+def window_columns(relevance: Shaped[np.ndarray, "height width"], rng: np.random.Generator) -> np.ndarray:
+    """A quarter of the columns side by side, across the seam or not, where there is much of what matters."""
+    height, width = relevance.shape
+    columns = direction_tables(height, width)[0] @ relevance + MIN_RELEVANCE
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
+    inside = sums[width // WINDOW_DIVISOR :][:width] - sums[:width]
+    begin = int(rng.choice(width, p=inside / inside.sum()))
+    return np.asarray((begin + np.arange(width // WINDOW_DIVISOR)) % width)
 
 
 def swap_views(channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "channels height width"]:

@@ -11,25 +11,23 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
-from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres, reduced, vary_colours
+from omnisyn_cli.training import data
+from omnisyn_cli.training.data import Array, Augmentation, Walk
+from omnisyn_cli.training.losses import polar_weights, signed_error
 from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
-from omnisyn_cli.training.walks import Walk, baseline_ratios, load_walk
+from omnisyn_cli.training.walks import baseline_ratios
 
-MAX_BASELINE_RATIO = 2.5
-"""Baselines over median depth above this are not drawn."""
-
-MIN_BASELINE_RATIO = 0.03
-"""Baselines over median depth below this are not drawn where there are others."""
+MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
+MIN_BASELINE_RATIO = 0.03  # Baselines over median depth below this are not drawn where there are others
 
 TILT_SHARE, TILT = 0.35, 0.03
 """Share of the pairs whose cameras are held askew, and the standard deviation of pitch and roll, radians."""
@@ -40,41 +38,26 @@ CAP_SHARE, CAP_RADII = 0.25, (4.0, 26.0)
 COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
 """Of the loss at coarse scales, of gradients and of the Laplace scale, beside 1. Set by hand."""
 
-GRADIENT_SCALES = 4
-"""Gradients are compared at strides 1, 2, 4, …"""
-
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
 """Errors count more where √(inverse depth × baseline), s, is small: the weight is 1 + weight / (floor + s)."""
 
-UNMATCHED_WEIGHT = 1.0
-"""Errors count more by this where matching found nothing consistent."""
-
-MIN_JUDGED = 0.03
-"""√(inverse depth × baseline) below which nothing is judged by its ratio."""
+GRADIENT_SCALES = 4  # Gradients are compared at strides 1, 2, 4, …
+UNMATCHED_WEIGHT = 1.0  # Errors count more by this where matching found nothing consistent
+MIN_JUDGED = 0.03  # √(inverse depth × baseline) below which nothing is judged by its ratio
 
 
 @dataclass(frozen=True)
 class GuidedBatch:
-    """Pairs for one step.
+    """Pairs for one step, as tensors; one of them, without the first axis, as arrays."""
 
-    Attributes:
-        first, second: ``(batch, 3, height, width)`` colours in [0, 1].
-        towards: ``(batch, 3, 1, 1)`` unit vector to the other camera.
-        guidance: ``(batch, 6, height / 4, width / 4)``, see :data:`GUIDANCE_CHANNELS`.
-        unmatched: ``(batch, 1, height / 4, width / 4)`` share that matching left open; 0 where nothing was matched.
-        sqrt_inv_depth: ``(batch, 1, height, width)`` √(inverse depth × baseline); NaN where it is not known.
-        ratio: ``(batch,)`` baseline over median depth.
-        is_mesh: ``(batch,)`` whether the scene is a mesh.
-    """
-
-    first: Float[Tensor, "batch 3 height width"]
-    second: Float[Tensor, "batch 3 height width"]
-    towards: Float[Tensor, "batch 3 1 1"]
-    guidance: Float[Tensor, "batch 6 rows cols"]
-    unmatched: Float[Tensor, "batch 1 rows cols"]
-    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
-    ratio: Float[Tensor, " batch"]
-    is_mesh: Tensor
+    first: Float[Array, "*batch 3 height width"]  # colours in [0, 1]
+    second: Float[Array, "*batch 3 height width"]
+    towards: Float[Array, "*batch 3 1 1"]  # unit vector to the other camera
+    guidance: Float[Array, "*batch 6 rows cols"]  # a quarter of the size, see GUIDANCE_CHANNELS
+    unmatched: Float[Array, "*batch 1 rows cols"]  # share that matching left open; 0 where nothing was matched
+    sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline); NaN where it is not known
+    ratio: Float[Array, "*batch"]  # baseline over median depth
+    is_mesh: Bool[Array, "*batch"]  # whether the scene is a mesh
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
@@ -82,65 +65,23 @@ class GuidedBatch:
         return self.first, self.second, self.towards, self.guidance
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """One sample, as arrays."""
-
-    colours: Float32[np.ndarray, "2 height width 3"]
-    inverse_depth: Float32[np.ndarray, "height width"]
-    towards: Float[np.ndarray, " 3"]
-    guidance: Float32[np.ndarray, "6 rows cols"]
-    unmatched: Float32[np.ndarray, "rows cols"]
-    ratio: float
-    is_mesh: bool
-
-
 def draw_guided(
-    pool: list[Path],
-    rng: np.random.Generator,
-    pairs: int,
-    size: tuple[int, int],
-    max_sqrt_inv_depth: float,
-    augmentation: Augmentation | None = None,
-    guided: float = 0.0,
-) -> GuidedBatch:
-    """Random pairs of random walks.
+    pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], max_sqrt_inv_depth: float,
+    augmentation: Augmentation | None = None, guided: float = 0.0,
+) -> GuidedBatch:  # fmt: skip
+    """Random pairs of random walks, some of them, as asked for, with guidance: what matching says.
 
-    Args:
-        pool: of walks, see :mod:`omnisyn_cli.training.walks`.
-        rng: random numbers.
-        pairs: how many.
-        size: ``(height, width)``, a whole fraction of the pool's.
-        max_sqrt_inv_depth: that targets are clipped to.
-        augmentation: of colours; without one, nothing is varied and poses are exact.
-        guided: share of the pairs that are shown with what matching says.
-
-    Raises:
-        InputError: the pool's size is not a multiple of ``size``.
+    ``size`` is a whole fraction of the pool's; InputError: it is none. Targets are clipped to ``max_sqrt_inv_depth``.
+    Without an augmentation nothing is varied, and poses are exact.
     """
-    drawn = [
-        _draw_pair(load_walk(pool[rng.integers(len(pool))]), rng, size, augmentation, guided) for _ in range(pairs)
-    ]
-    colours = np.stack([pair.colours for pair in drawn])
-    sqrt_inv_depth = np.sqrt(np.stack([pair.inverse_depth for pair in drawn])).clip(max=max_sqrt_inv_depth)
-    return GuidedBatch(
-        first=as_tensor(colours[:, 0]),
-        second=as_tensor(colours[:, 1]),
-        towards=torch.tensor(np.stack([pair.towards for pair in drawn]), dtype=torch.float32)[..., None, None],
-        guidance=torch.from_numpy(np.stack([pair.guidance for pair in drawn])),
-        unmatched=torch.from_numpy(np.stack([pair.unmatched for pair in drawn])).unsqueeze(1),
-        sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
-        ratio=torch.tensor([pair.ratio for pair in drawn]),
-        is_mesh=torch.tensor([pair.is_mesh for pair in drawn]),
-    )
+    walks = (data.draw_walk(pool, rng, size[0]) for _ in range(pairs))
+    return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
 
 
-def _draw_pair(
-    walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None, guided: float
-) -> _Pair:
-    rows = walk.images.shape[1]
-    if rows % size[0]:
-        raise InputError(f"expected walks of a multiple of {size[0]} rows, got {rows}; make others")
+def _pair(
+    walk: Walk, rng: np.random.Generator, size: tuple[int, int], most: float, augmentation: Augmentation | None,
+    guided: float,
+) -> GuidedBatch:  # fmt: skip
     is_guided = len(walk.pairs) > 0 and rng.random() < guided
     first, second, ratio = _choose(walk, rng, is_guided)
     images, inverse_depth = walk.images[[first, second]], walk.inverse_depth[[first]]
@@ -155,17 +96,25 @@ def _draw_pair(
         towards = towards * [-1.0, 1.0, 1.0]
     if augmentation is not None:
         images, inverse_depth, matching, towards = _held_by_hand(images, inverse_depth, matching, towards, rng)
-    colours = np.stack([reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
+    colours = np.stack([data.reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
-        colours = with_cap(vary_colours(colours, rng, augmentation), rng)
+        colours = with_cap(data.vary_colours(colours, rng, augmentation), rng)
     matching = reduced_matching(matching, matching.shape[1] * STRIDE // size[0])
     unmatched = 1.0 - np.minimum(matching[1] + matching[2], 1.0)
     guidance = np.zeros((GUIDANCE_CHANNELS, *matching.shape[1:]), np.float32)
     if is_guided:
         guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
-    has_matching = np.float32(bool(matching.any()))
-    inverse_depth = at_block_centres(inverse_depth * np.float32(baseline), size)
-    return _Pair(colours, inverse_depth, towards, guidance, unmatched * has_matching, ratio, walk.is_mesh)
+    sqrt_inv_depth = np.sqrt(data.at_block_centres(inverse_depth * np.float32(baseline), size)).clip(max=most)
+    return GuidedBatch(
+        first=colours[0].transpose(2, 0, 1),
+        second=colours[1].transpose(2, 0, 1),
+        towards=towards.astype(np.float32)[:, None, None],
+        guidance=guidance,
+        unmatched=unmatched[None] * np.float32(bool(matching.any())),
+        sqrt_inv_depth=sqrt_inv_depth.astype(np.float32)[None],
+        ratio=np.float32(ratio),
+        is_mesh=np.bool_(walk.is_mesh),
+    )
 
 
 def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray, "4 rows cols"]:
@@ -236,20 +185,15 @@ def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor
     unmatched = functional.interpolate(batch.unmatched, size=target.shape[-2:], mode="nearest")
     weight = known * polar_weights(target) * (1.0 + RELATIVE_WEIGHT / (RELATIVE_FLOOR + target))
     weight = weight * (1.0 + UNMATCHED_WEIGHT * unmatched)
-    error = _signed_error(prediction.estimate, target)
+    error = signed_error(prediction.estimate, target)
     loss = _weighted_mean(error.abs(), weight) + GRADIENT_WEIGHT * _gradient_error(error, known)
     for coarse in prediction.coarse:
         stride = target.shape[-1] // coarse.shape[-1]
         thin = (..., slice(stride // 2, None, stride), slice(stride // 2, None, stride))
         share = COARSE_WEIGHT / len(prediction.coarse)
-        loss = loss + share * _weighted_mean(_signed_error(coarse, target[thin]).abs(), weight[thin])
+        loss = loss + share * _weighted_mean(signed_error(coarse, target[thin]).abs(), weight[thin])
     log_loss = error.detach().abs() * torch.exp(-prediction.log_scale) + prediction.log_scale
     return loss + SCALE_WEIGHT * _weighted_mean(log_loss, known * polar_weights(target))
-
-
-def _signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
-    """An estimate below zero is right where nothing is there."""
-    return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
 
 
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
@@ -268,12 +212,6 @@ def _gradient_error(error: Tensor, known: Tensor) -> Tensor:
         total = total + _weighted_mean(across, k * k.roll(-1, -1) * weight)
         total = total + _weighted_mean(down, k[..., 1:, :] * k[..., :-1, :] * weight[1:])
     return total / GRADIENT_SCALES
-
-
-def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
-    """Sine of the polar angle of every row, divided by its mean."""
-    weights = row_weights(like.shape[-2])
-    return torch.as_tensor(weights / weights.mean(), dtype=torch.float32, device=like.device)[:, None]
 
 
 @torch.no_grad()
@@ -297,7 +235,7 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
         return float(_weighted_mean((ratio < factor).float(), judged))
 
     figures = {
-        "error": float(_weighted_mean(_signed_error(prediction.estimate, target).abs(), area)),
+        "error": float(_weighted_mean(signed_error(prediction.estimate, target).abs(), area)),
         "delta_25": within(1.25),
         "delta_5": within(1.05),
     }

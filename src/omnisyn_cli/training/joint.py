@@ -36,8 +36,8 @@ from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, network_inputs
 from omnisyn_cli.training.losses import depth_scores, paper_loss
-from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
-from omnisyn_cli.training.triples import Triples, swap_cameras
+from omnisyn_cli.training.pairs import Triples, swap_cameras
+from omnisyn_cli.training.pictures import as_array, depth_pictures
 
 FUSION_WEIGHT = 1.0
 """Weight of the picture's loss beside that of the depth: both count the same."""
@@ -80,18 +80,11 @@ class JointConfig:
 
 @dataclass(frozen=True)
 class PairPrediction:
-    """What the depth network says about both panoramas of each pair.
+    """What the depth network says about both panoramas of each pair."""
 
-    Attributes:
-        stacked: the network's own prediction: all first panoramas, then all second ones with swapped cameras
-            (:func:`swap_cameras`).
-        inverse_depth: ``(2, batch, height, width)`` × baseline of the first and of the second, in the pair's frame.
-        confidence: the same of the confidence, without gradients.
-    """
-
-    stacked: PaperPrediction
-    inverse_depth: Float[Tensor, "2 batch height width"]
-    confidence: Float[Tensor, "2 batch height width"]
+    stacked: PaperPrediction  # the network's own: all first panoramas, then all second ones with swapped cameras
+    inverse_depth: Float[Tensor, "2 batch height width"]  # × baseline, of the first and the second, in the pair's frame
+    confidence: Float[Tensor, "2 batch height width"]  # the same of the confidence, without gradients
 
 
 class JointNetwork(nn.Module):
@@ -150,9 +143,15 @@ def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:
 
 def joint_pictures(answer: JointAnswer, triples: Triples) -> dict[str, np.ndarray]:
     """The first panorama's depth, both renderings, and the picture made of them."""
+    colours = {
+        "first": answer.channels[0, channel.FIRST_RGB :][:3],
+        "second": answer.channels[0, channel.SECOND_RGB :][:3],
+        "fused": answer.picture[0],
+        "between": triples.middle[0],
+    }
     sqrt_inv_depth = answer.prediction.inverse_depth[0, 0].sqrt()
-    shown = depth_pictures(*(as_array(x) for x in (triples.first[0], sqrt_inv_depth, triples.sqrt_inv_depths[0, 0, 0])))
-    return shown | fused_pictures(answer.channels[0], answer.picture[0], triples.middle[0])
+    shown = depth_pictures(triples.first[0], sqrt_inv_depth, triples.sqrt_inv_depth[0, 0])
+    return shown | {name: as_array(picture.clamp(0.0, 1.0)) for name, picture in colours.items()}
 
 
 def channels_between(
@@ -161,13 +160,9 @@ def channels_between(
     textures: Float[Tensor, "2 batch 3 rows cols"],
     position: Float[Tensor, " batch"],
 ) -> Float[Tensor, "batch channels rows cols"]:
-    """What the fusion network sees of pairs, from places between them.
+    """What the fusion network sees of pairs, from positions (shares of the way) between them.
 
-    Args:
-        inverse_depth: × baseline, of both panoramas; gradients flow to it.
-        confidence: of it, in [0, 1].
-        textures: their colours; gradients flow to them.
-        position: of the way, of each pair.
+    Gradients flow to inverse depth × baseline and to textures, the colours of both panoramas.
     """
     channels = []
     for k, t in enumerate(position.tolist()):

@@ -21,21 +21,14 @@ from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, load_state, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
-from omnisyn_cli.training.exported import load_state
 from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
-from omnisyn_cli.training.task import HELD_OUT_LOSS, TrainConfig, on_device
-from omnisyn_cli.training.tasks import TASKS, NetworkConfig, parts_of, task_named, task_of
+from omnisyn_cli.training.tasks import HELD_OUT_LOSS, TASKS, NetworkConfig, TrainConfig, on_device, task_of
 
-__all__ = ["TrainConfig", "part_of", "train"]
-
-CHECKPOINT = "checkpoint.pt"
-"""Name of the checkpoint that a run goes on from."""
-
-BEST_CHECKPOINT = "best.pt"
-"""Name of the compact checkpoint with the least loss of what networks are judged by."""
+CHECKPOINT, BEST_CHECKPOINT, LOG = "checkpoint.pt", "best.pt", "log.jsonl"
+"""Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation."""
 
 COLLAPSE_LOSS_RATIO = 1.25
 """Ratio of the loss to the least so far from which on the run does not recover."""
@@ -45,7 +38,14 @@ PROCESSOR = Precision(torch.device("cpu"))
 
 
 class Trainer:
-    """Network, average, optimiser and step: what a checkpoint holds."""
+    """Network, average, optimiser and step: what a checkpoint holds.
+
+    Attributes:
+        judged_by: name of the figure that is least where the network is best.
+        pool: scenes to learn from.
+    """
+
+    judged_by = HELD_OUT_LOSS
 
     def __init__(self, network: NetworkConfig, config: TrainConfig, precision: Precision = PROCESSOR) -> None:
         torch.manual_seed(config.seed)
@@ -55,15 +55,20 @@ class Trainer:
         self.task = TASKS[self.kind]
         self.network = self.task.build(network).to(precision.device)
         self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
+            self.parameter_groups(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
         self.scores: dict[str, float] = {}
+        self.pool = list[Path]()
         self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
         self.drawn: tuple[int, Future[Any]] | None = None
         self.best = math.inf
         self.step = 0
         self.cooldown_start: int | None = None
+
+    def parameter_groups(self) -> list[dict[str, Any]]:
+        """What the optimiser changes; the rate of a group is multiplied by its ``scale``."""
+        return [{"params": list(self.network.parameters())}]
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
@@ -90,18 +95,12 @@ class Trainer:
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
-        if all(state["training"].get(name) == now for name, now in self._judged_by().items()):
+        now = asdict(self.config)  # held-out losses can be compared if nothing has changed but the weights
+        if all(state["training"].get(name) == now[name] for name in ("validation_pool", "size", "validation_pairs")):
             self.best = state.get("best", math.inf)
 
-    def _judged_by(self) -> dict[str, Any]:
-        """What held-out losses depend on besides the weights, as a checkpoint has it."""
-        return {name: asdict(self.config)[name] for name in ("validation_pool", "size", "validation_pairs")}
-
     def begin_with(self, weights: Mapping[str, torch.Tensor]) -> None:
-        """Before the first step: some of the weights, by name, instead of random ones.
-
-        Raises ValueError: the network has no weights of these names.
-        """
+        """Before the first step: some of the weights, by name, instead of random ones; ValueError: unknown names."""
         unknown = self.network.load_state_dict(weights, strict=False).unexpected_keys
         if unknown:
             raise ValueError(f"expected weights that the network has, got {', '.join(unknown)}")
@@ -120,12 +119,22 @@ class Trainer:
         """Whether a cool-down has come to its end."""
         return self.cooldown_start is not None and self.step >= self.cooldown_start + self.config.cooldown_steps
 
-    def advance(self, pool: list[Path]) -> float:
+    def config_at(self, step: int) -> TrainConfig:
+        """The stage that a step belongs to: this one."""
+        return self.config
+
+    def scenes_at(self, step: int) -> list[Path]:
+        """The files that a step draws from."""
+        return self.pool
+
+    def advance(self) -> float:
         """One step; returns the loss. The batch depends on the seed and the step alone."""
-        config = self.config
+        config = self.config_at(self.step)
+        if config != self.config:
+            self.config, self.best = config, math.inf
         for group in self.optimizer.param_groups:
             group.update(lr=self.rate() * group.get("scale", 1.0), weight_decay=config.weight_decay)
-        batch = on_device(self._batch(pool), self.precision.device)
+        batch = on_device(self._batch(), self.precision.device)
         with self.precision.autocast():
             loss = self.task.loss(self.task.answer_of(self.network, batch), batch)
         self.optimizer.zero_grad(set_to_none=True)
@@ -137,22 +146,22 @@ class Trainer:
         self._follow()
         return float(loss.detach())
 
-    def _batch(self, pool: list[Path]) -> Any:
+    def _batch(self) -> Any:
         """The batch of this step; that of the next one is begun, so that it is there when it is wanted."""
         if self.drawn is None or self.drawn[0] != self.step:
-            self.drawn = self._begin_batch(self.step, pool)
+            self.drawn = self._begin_batch(self.step)
         batch = self.drawn[1].result()
-        self.drawn = self._begin_batch(self.step + 1, pool)
+        self.drawn = self._begin_batch(self.step + 1)
         return batch
 
-    def _begin_batch(self, step: int, pool: list[Path]) -> tuple[int, Future[Any]]:
-        return step, self.ahead.submit(self._draw, step, pool)
+    def _begin_batch(self, step: int) -> tuple[int, Future[Any]]:
+        return step, self.ahead.submit(self._draw, step, self.scenes_at(step))
 
     def _draw(self, step: int, pool: list[Path]) -> Any:
         """On one thread: the others learn meanwhile."""
         rng = np.random.default_rng([self.config.seed, step])
         with at_most(1):
-            return self.task.draw(pool, rng, self.config, self.network, Augmentation())
+            return self.task.draw(pool, rng, self.config_at(step), self.network, Augmentation())
 
     @torch.no_grad()
     def _follow(self) -> None:
@@ -161,9 +170,9 @@ class Trainer:
             self.average[name].lerp_(value, 1.0 - decay)
 
     def surpasses(self, loss: float) -> bool:
-        """Whether the loss of what networks are judged by is the least so far, which is remembered then.
+        """Whether what networks are judged by is the least so far, which is remembered then.
 
-        Raises TrainingError: it is far above the least: the run has collapsed, and would not recover.
+        Raises TrainingError: it is far above the least; the run has collapsed and would not recover.
         """
         if not loss <= COLLAPSE_LOSS_RATIO * self.best:
             raise TrainingError(
@@ -181,31 +190,18 @@ class Trainer:
         network.load_state_dict(self.average)
         return network.to(self.precision.device).eval()
 
+    def about(self) -> dict[str, float]:
+        """What a row of the log says besides figures."""
+        return {}
 
-def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
-    """The averaged network of a checkpoint or of an exported file, and the checkpoint; its ``"kind"`` says what it is.
+    def sheet(self, network: Any) -> np.ndarray | None:
+        """What is seen of the answers of the averaged network, RGB in [0, 1]; None where nobody looks."""
+        pictures = self.task.show(network, self.config)
+        return contact_sheet(pictures) if pictures else None
 
-    Raises InputError: no file, or no checkpoint of a known kind and of this version.
-    """
-    state = load_state(path)
-    task = task_named(state.get("kind"), path)
-    with of_this_version(path):
-        network = task.build(task.config.from_dict(state["network"]))
-        network.load_state_dict(state["average"])
-    return network.eval(), state
-
-
-def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
-    """The averaged network of one of these kinds in a checkpoint, joint or not.
-
-    Raises InputError: no checkpoint of this version, or it has none.
-    """
-    held = parts_of(load_network(path)[0])
-    found = [part for kind, part in held.items() if kind in kinds]
-    if not found:
-        expected, got = " or ".join(kinds), " and ".join(held)
-        raise InputError(f"expected a {expected} network in {path}, got {got}; name another checkpoint")
-    return found[0]
+    def end_validation(self, folder: Path, row: dict[str, Any]) -> None:
+        """When a row of the log has been written: scenes that were made meanwhile are learned from as well."""
+        self.pool = list_scene_files(Path(self.config.pool), self.task.pool)
 
 
 def train(
@@ -239,39 +235,61 @@ def train(
 
     Raises TrainingError: the run has collapsed; ``checkpoint.pt`` is of an earlier step.
     """
-    path = folder / CHECKPOINT
-    trainer = open_trainer(network, config, path, precision, weights)
-    started, losses = time.monotonic(), list[float]()
-    pool = _checked_pools(trainer, config)
+    trainer = open_trainer(network, config, folder / CHECKPOINT, precision, weights)
+    trainer.pool = _checked_pools(trainer, config)
     on_start(trainer)
     make_folder(folder, "a network that is trained")
-    while not trainer.is_finished() and (steps is None or trainer.step < steps):
-        losses.append(trainer.advance(pool))
-        out_of_time = time.monotonic() - started > 60.0 * minutes
-        if trainer.step % config.validate_every == 0:
-            row, pictures = _log_row(trainer, losses, time.monotonic() - started)
-            append_line(folder / "log.jsonl", row)
-            if pictures:
-                make_folder(folder / "pictures", "pictures")
-                write_image(folder / "pictures" / f"{trainer.step:08d}.png", contact_sheet(pictures))
-            report(row)
-            if trainer.surpasses(trainer.scores.get(HELD_OUT_LOSS, math.nan)):
-                save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
-            losses, pool = [], list_scene_files(Path(config.pool), *trainer.task.pools)
-        if trainer.step % config.save_every == 0 or out_of_time:
-            save_checkpoint(path, trainer.state())
-        if out_of_time:
-            break
-    save_checkpoint(path, trainer.state())
+    run(trainer, folder, minutes, steps, report)
     return trainer
+
+
+def run(
+    trainer: Trainer, folder: Path, minutes: float, steps: int | None, report: Callable[[dict[str, Any]], None]
+) -> None:
+    """The loop of :func:`train`, of any trainer."""
+    started, losses, is_over = time.monotonic(), list[float](), False
+    while not (is_over or trainer.is_finished() or (steps is not None and trainer.step >= steps)):
+        losses.append(trainer.advance())
+        seconds = time.monotonic() - started
+        is_over = seconds > 60.0 * minutes
+        if trainer.step % trainer.config.validate_every == 0 or trainer.is_finished():
+            _judge(trainer, folder, losses, seconds, report)
+            losses.clear()
+        if trainer.step % trainer.config.save_every == 0:
+            save_checkpoint(folder / CHECKPOINT, trainer.state())
+    save_checkpoint(folder / CHECKPOINT, trainer.state())
+
+
+def _judge(
+    trainer: Trainer, folder: Path, losses: list[float], seconds: float, report: Callable[[dict[str, Any]], None]
+) -> None:
+    """Write a row of the log, pictures where the network has some, and the best weights."""
+    network, task = trainer.averaged_network(), trainer.task
+    scores = task.validate(network, trainer.config)
+    trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
+    row = {"step": trainer.step, **trainer.about(), "seconds": round(seconds, 1), "rate": trainer.rate()}
+    finite = [loss for loss in losses if math.isfinite(loss)]  # the others taught nothing
+    if finite:
+        row["loss"] = float(np.mean(finite))
+    row |= trainer.scores
+    append_line(folder / LOG, row)
+    sheet = trainer.sheet(network)
+    if sheet is not None:
+        make_folder(folder / "pictures", "pictures")
+        write_image(folder / "pictures" / f"{trainer.step:08d}.png", sheet)
+    report(row)
+    is_best = trainer.surpasses(trainer.scores.get(trainer.judged_by, math.nan))
+    trainer.end_validation(folder, row)
+    if is_best:
+        save_checkpoint(folder / BEST_CHECKPOINT, compact(trainer.state()))
 
 
 def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
     """The scenes to learn from; those to be judged by are found wrong now, not after hundreds of steps."""
     pool, judged = (
-        list_scene_files(Path(folder), *trainer.task.pools) for folder in (config.pool, config.validation_pool)
+        list_scene_files(Path(folder), trainer.task.pool) for folder in (config.pool, config.validation_pool)
     )
-    if trainer.task.pools == ("fusion-pool",):
+    if trainer.task.pool == "fusion-pool":
         multiple = trainer.network.config.size_multiple
         check_height(pool, 2 * multiple)  # a window half as wide is seen
         check_height(judged, multiple)
@@ -280,29 +298,21 @@ def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
 
 
 def open_trainer(
-    network: NetworkConfig,
-    config: TrainConfig,
-    path: Path,
-    precision: Precision = PROCESSOR,
+    network: NetworkConfig, config: TrainConfig, path: Path, precision: Precision = PROCESSOR,
     weights: Mapping[str, torch.Tensor] | None = None,
-) -> Trainer:
-    """A fresh trainer, with ``weights`` if there are any, or the one of the checkpoint at ``path``.
+) -> Trainer:  # fmt: skip
+    """A fresh trainer, with ``weights`` if there are any, or that of a checkpoint; a cool-down begins there.
 
-    A cool-down asked for begins at its step.
-
-    Raises InputError: the checkpoint is of another version, or of another kind than ``network``, whose data and rate
-        would not suit it.
+    Raises InputError: the checkpoint is of another version, or kind, whose data and rate would not suit it.
     """
     if not path.exists():
         trainer = Trainer(network, config, precision)
         trainer.begin_with(weights or {})
     else:
-        state = load_checkpoint(path)
-        task, kind = task_named(state.get("kind"), path), task_of(network)
-        if state["kind"] != kind:
-            raise InputError(f"expected a {kind} network in {path}, got a {state['kind']} network; name another folder")
+        kind = task_of(network)
+        state = state_of(path, kind)
         with of_this_version(path):
-            trainer = Trainer(task.config.from_dict(state["network"]), config, precision)
+            trainer = Trainer(TASKS[kind].config.from_dict(state["network"]), config, precision)
             trainer.restore(state)
     if config.cooldown_steps == 0:
         trainer.cooldown_start = None
@@ -311,13 +321,9 @@ def open_trainer(
     return trainer
 
 
-def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """A row of the log, and pictures where the network has some."""
-    network, task = trainer.averaged_network(), trainer.task
-    scores = task.validate(network, trainer.config)
-    trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
-    row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate()}
-    finite = [loss for loss in losses if math.isfinite(loss)]  # the others taught nothing
-    if finite:
-        row["loss"] = float(np.mean(finite))
-    return row | trainer.scores, task.show(network, trainer.config)
+def state_of(path: Path, kind: str) -> dict[str, Any]:
+    """A checkpoint, or one made of an exported file; InputError: it is of another kind of network."""
+    state = load_state(path)
+    if state["kind"] != kind:
+        raise InputError(f"expected a {kind} network in {path}, got a {state['kind']} network; name another one")
+    return state

@@ -17,41 +17,18 @@ from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
 
-LOW_HEAD_WEIGHT = 0.5
-"""Weight of the low head's error; the paper's (section 3.6)."""
-
-GRADIENT_WEIGHT = 0.5
-"""Weight of the error of gradients on surfaces."""
-
-CONFIDENCE_WEIGHT = 0.05
-"""Weight of the confidence's log-loss: small, so that it does not cost accuracy of depth."""
-
-MAX_CORRECT_RATIO = 1.1
-"""Factor to the truth within which a depth counts as correct: what the confidence is the probability of."""
-
-INFINITY_INVERSE_DEPTH = 1e-3
-"""Inverse depth × baseline below which a point counts as infinitely far: a thousand baselines."""
-
-SCORED_DEPTH_RANGE_METRES = (1.0, 50.0)
-"""Depths that are scored: the range of the paper's depth table."""
-
-UNRELIABLE_WEIGHT = 3.0
-"""Additional weight of pixels where matching is unreliable, and beside silhouettes, where it is often wrong."""
-
-SILHOUETTE_WINDOW_PIXELS = 5
-"""Side of the window around a depth edge that counts as beside a silhouette: what matching windows blur."""
-
-MODE_ERROR_SCALE = 0.03
-"""Error of √(inverse depth × baseline) that makes a mode e times less likely: the scale of its Laplace distribution."""
-
-MODE_LOG_LOSS_WEIGHT = 0.02
-"""Weight of the modes' log-loss, whose values are some thirty times those of the absolute errors."""
-
-MIN_EDGE_STEP = 0.1
-"""Difference of √(inverse depth × baseline) between neighbours that makes an edge."""
-
-EDGE_WEIGHT = 0.25
-"""Weight of the error of steps at edges."""
+LOW_HEAD_WEIGHT = 0.5  # Weight of the low head's error; the paper's (section 3.6)
+GRADIENT_WEIGHT = 0.5  # Weight of the error of gradients on surfaces
+CONFIDENCE_WEIGHT = 0.05  # Weight of the confidence's log-loss: small, so that it does not cost accuracy of depth
+MAX_CORRECT_RATIO = 1.1  # Factor to the truth within which a depth is correct: the confidence is its probability
+INFINITY_INVERSE_DEPTH = 1e-3  # Inverse depth × baseline below which a point is infinitely far: a thousand baselines
+SCORED_DEPTH_RANGE_METRES = (1.0, 50.0)  # Depths that are scored: the range of the paper's depth table
+UNRELIABLE_WEIGHT = 3.0  # Additional, where matching is unreliable, and beside silhouettes, where it is often wrong
+SILHOUETTE_WINDOW_PIXELS = 5  # Side of the window around a depth edge that is beside a silhouette: matching blurs it
+MODE_ERROR_SCALE = 0.03  # Scale of the Laplace distribution of errors of √(inverse depth × baseline) around a mode
+MODE_LOG_LOSS_WEIGHT = 0.02  # Weight of the modes' log-loss; its values are some thirty times the absolute errors
+MIN_EDGE_STEP = 0.1  # Difference of √(inverse depth × baseline) between neighbours that makes an edge
+EDGE_WEIGHT = 0.25  # Weight of the error of steps at edges
 
 
 def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
@@ -64,10 +41,6 @@ def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 heigh
     """L1 of inverse depth × baseline of the high head, and half of that of the low head, a scalar.
 
     Source: OmniSyn, section 3.6. Unlike there an estimate below zero is right where the target is infinitely far.
-
-    Args:
-        prediction: of the paper's network.
-        target: true √(inverse depth × baseline); NaN where it is not known.
     """
     known, sqrt_inv_depth = _split_known(target)
     inverse_depth, weights = sqrt_inv_depth.square(), polar_weights(sqrt_inv_depth)
@@ -104,10 +77,7 @@ def completion_loss(
 ) -> Tensor:
     """Expected L1 of both modes, L1 of the likelier one, their log-loss, gradients, edges, log-loss of the confidence.
 
-    Args:
-        prediction: of the completion network.
-        target: true √(inverse depth × baseline); NaN where it is not known.
-        reliable: 1 where matching is reliable, else 0. There, away from silhouettes, all but the gradients counts less.
+    Where matching is reliable (1), away from silhouettes, all but the gradients counts less than elsewhere (0).
     """
     known, target = _split_known(target)
     area = polar_weights(target) * known
@@ -119,8 +89,9 @@ def completion_loss(
     expected = (log_probability.exp() * errors).sum(dim=1, keepdim=True)
     likelier = prediction.sqrt_inv_depth()
     error = (expected + _clamped_error(likelier, target) + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
-    gradients, edges = (term(likelier, target, known) for term in (_gradient_error, _edge_error))
-    confidence = (_confidence_loss(prediction, target) * area).mean()
+    gradients, edges = _gradient_and_edge_error(likelier, target, known)
+    correct, logit = _is_correct(prediction.inverse_depth(), target.square()), prediction.confidence_logit
+    confidence = functional.binary_cross_entropy_with_logits(logit, correct, weight=area)
     return error.mean() + GRADIENT_WEIGHT * gradients + EDGE_WEIGHT * edges + CONFIDENCE_WEIGHT * confidence
 
 
@@ -134,24 +105,25 @@ def _silhouette_mask(target: Tensor) -> Tensor:
     return (greatest + least > MIN_EDGE_STEP).to(target.dtype)
 
 
+def signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
+    """An estimate below zero is right where the target is zero: nothing is there."""
+    return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
+
+
 def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
-    """Absolute error; an estimate below zero is right where the target is zero."""
-    return torch.where(target > 0, (sqrt_inv_depth - target).abs(), sqrt_inv_depth.clamp(min=0.0))
+    return signed_error(sqrt_inv_depth, target).abs()
 
 
-def _gradient_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
-    """L1 of the differences of neighbours, with edges of the target forgiven.
+def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """L1 of the differences of neighbours, on surfaces, and over all pixels where the target jumps.
 
-    Where the target jumps by more than a tenth the position of the edge is left to the plain L1.
+    Where it jumps by more than a tenth the position of the edge is left to the plain L1.
     """
-    steps = _neighbour_step_errors(sqrt_inv_depth, target, known)
-    return torch.stack([_masked_mean(error * ~is_edge, both_known) for error, is_edge, both_known in steps]).sum()
-
-
-def _edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
-    """L1 of the differences of neighbours where the target jumps, over all pixels."""
-    steps = _neighbour_step_errors(sqrt_inv_depth, target, known)
-    return torch.stack([(error * is_edge * both_known).mean() for error, is_edge, both_known in steps]).sum()
+    gradients, edges = [], []
+    for error, is_edge, both_known in _neighbour_step_errors(sqrt_inv_depth, target, known):
+        gradients.append(_masked_mean(error * ~is_edge, both_known))
+        edges.append((error * is_edge * both_known).mean())
+    return torch.stack(gradients).sum(), torch.stack(edges).sum()
 
 
 def _neighbour_step_errors(
@@ -168,12 +140,6 @@ def _neighbour_step_errors(
         yield error[..., kept, :], true_step.abs()[..., kept, :] >= MIN_EDGE_STEP, both_known[..., kept, :]
 
 
-def _confidence_loss(prediction: DepthPrediction, target: Tensor) -> Tensor:
-    """Log-loss of the confidence, pixel by pixel."""
-    correct = _is_correct(prediction.inverse_depth(), target.square())
-    return functional.binary_cross_entropy_with_logits(prediction.confidence_logit, correct, reduction="none")
-
-
 def _is_correct(inverse_depth: Tensor, target: Tensor, factor: float = MAX_CORRECT_RATIO) -> Tensor:
     with torch.no_grad():
         larger = torch.maximum(inverse_depth, target).clamp(min=INFINITY_INVERSE_DEPTH)
@@ -185,12 +151,7 @@ def _is_correct(inverse_depth: Tensor, target: Tensor, factor: float = MAX_CORRE
 def depth_scores(
     prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
 ) -> dict[str, float]:
-    """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m.
-
-    Args:
-        prediction: of a depth network.
-        target: true √(inverse depth × baseline).
-        baseline: metres.
+    """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m; baselines are in metres.
 
     Returns:
         ``imae``, the mean absolute error of inverse depth, 1/m; ``delta_5``, the share of pixels whose depth is within
@@ -222,18 +183,13 @@ def completion_scores(
     target: Float[Tensor, "batch 1 height width"],
     reliable: Float[Tensor, "batch 1 height width"],
 ) -> dict[str, float]:
-    """Accuracy where matching is unreliable, and elsewhere; means weigh pixels by solid angle.
-
-    Args:
-        prediction: of a depth network.
-        filled: √(inverse depth × baseline) of the input; its figures end with ``_filled``.
-        target: the truth; NaN where it is not known.
-        reliable: 1 where matching is reliable, else 0.
+    """Accuracy where matching is unreliable (0), and elsewhere (1); means weigh pixels by solid angle.
 
     Returns:
         ``unsure``, the unreliable share of the sphere; over that ``error``, the mean absolute error, ``within_5`` and
         ``within_25``, the shares whose depth is within a factor of 1.05 and 1.25, and ``confidence_error``, the mean of
-        |confidence − (within a factor of 1.1)|; over the rest ``error_sure``.
+        |confidence − (within a factor of 1.1)|; over the rest ``error_sure``. Those of ``filled``, √(inverse depth ×
+        baseline) of the input, end with ``_filled``.
     """
     known, target = _split_known(target)
     area = polar_weights(target) * known

@@ -34,12 +34,7 @@ CELL = 2
 
 
 def views_to_match(ratios: Float[np.ndarray, "views views"], rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Pairs of views, the smaller index first.
-
-    Args:
-        ratios: baseline over the median depth of the first of two views.
-        rng: random numbers.
-    """
+    """Pairs of views, the smaller index first, by ratios of baseline to the median depth of the first of two."""
     least, most = MATCHED_RATIOS
     is_usable = (ratios >= least) & (ratios <= most)
     rows, cols = np.nonzero(np.triu(is_usable | is_usable.T, 1))
@@ -58,16 +53,12 @@ def draw_pose_error(rng: np.random.Generator) -> tuple[Float[np.ndarray, "3 3"],
 
 
 def match_views(
-    images: Shaped[np.ndarray, "2 height width 3"],
-    motion: Float[np.ndarray, " 3"],
-    rng: np.random.Generator | None,
+    images: Shaped[np.ndarray, "2 height width 3"], motion: Float[np.ndarray, " 3"], rng: np.random.Generator | None
 ) -> Float32[np.ndarray, "2 4 rows cols"]:
     """What matching says of both views of a pair, each turned so that the other one is ahead; a quarter of the size.
 
-    Args:
-        images: eight bits, upright, with one heading.
-        motion: from the first to the second camera, metres.
-        rng: for colours and poses that are not quite right; None for exact ones.
+    Images have eight bits and are upright, with one heading; motion is from the first to the second camera, metres.
+    Random numbers make colours and poses not quite right; None leaves them exact.
     """
     baseline = float(np.linalg.norm(motion))
     turned, ahead = facing_the_other(images, motion / baseline)

@@ -5,8 +5,6 @@ import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from omnisyn_cli.fusion import input_channels as channel
-
 MAX_SHOWN_ERROR = 0.25
 """Difference of √(inverse depth × baseline) with the brightest colour; fixed, so that steps can be compared."""
 
@@ -18,49 +16,30 @@ SHEET_GAP_PIXELS = 4
 
 
 def depth_pictures(
-    image: Float32[np.ndarray, "height width 3"],
-    sqrt_inv_depth: Float32[np.ndarray, "height width"],
-    truth: Float32[np.ndarray, "height width"],
+    image: Float[Tensor, "3 height width"],
+    sqrt_inv_depth: Float[Tensor, "height width"],
+    truth: Float[Tensor, "height width"],
 ) -> dict[str, Float32[np.ndarray, "height width 3"]]:
     """``input``, ``prediction``, ``truth`` and ``error`` as RGB in [0, 1].
 
-    Roots have the Turbo colours (red is near, dark blue infinitely far, both on one scale), errors those of Inferno;
-    what is not known (NaN) is black.
-
-    Args:
-        image: the panorama.
-        sqrt_inv_depth: estimated √(inverse depth × baseline).
-        truth: the true one.
+    Estimated and true √(inverse depth × baseline) have the Turbo colours (red is near, dark blue infinitely far, both
+    on one scale), errors those of Inferno; what is not known (NaN) is black.
     """
-    known = np.isfinite(truth)
-    largest = max(float(np.percentile(truth[known], NEAR_PERCENTILE)), 1e-3) if known.any() else 1.0
-    error = np.where(known, np.abs(sqrt_inv_depth - np.where(known, truth, 0.0)), 0.0)
+    found, true = as_array(sqrt_inv_depth), as_array(truth)
+    known = np.isfinite(true)
+    largest = max(float(np.percentile(true[known], NEAR_PERCENTILE)), 1e-3) if known.any() else 1.0
+    error = np.where(known, np.abs(found - np.where(known, true, 0.0)), 0.0)
     return {
-        "input": np.asarray(image, np.float32),
-        "prediction": _colourize(sqrt_inv_depth / largest, cv2.COLORMAP_TURBO),
-        "truth": np.where(known[..., None], _colourize(truth / largest, cv2.COLORMAP_TURBO), np.float32(0.0)),
+        "input": as_array(image),
+        "prediction": _colourize(found / largest, cv2.COLORMAP_TURBO),
+        "truth": np.where(known[..., None], _colourize(true / largest, cv2.COLORMAP_TURBO), np.float32(0.0)),
         "error": _colourize(error / MAX_SHOWN_ERROR, cv2.COLORMAP_INFERNO),
     }
 
 
 def as_array(x: Float[Tensor, "*channels height width"]) -> Float32[np.ndarray, "height width *channels"]:
-    """What is to be seen, for the functions here."""
+    """What is to be seen."""
     return np.ascontiguousarray((x.movedim(0, -1) if x.ndim == 3 else x).cpu().numpy(), np.float32)
-
-
-def fused_pictures(
-    channels: Float[Tensor, "channels height width"],
-    picture: Float[Tensor, "3 height width"],
-    truth: Float[Tensor, "3 height width"],
-) -> dict[str, Float32[np.ndarray, "height width 3"]]:
-    """``first`` and ``second``, the renderings; ``fused``, what the network makes of them; ``between``, the truth."""
-    shown = {
-        "first": channels[channel.FIRST_RGB :][:3],
-        "second": channels[channel.SECOND_RGB :][:3],
-        "fused": picture,
-        "between": truth,
-    }
-    return {name: as_array(colours.clamp(0.0, 1.0)) for name, colours in shown.items()}
 
 
 def contact_sheet(pictures: dict[str, Float32[np.ndarray, "height width 3"]]) -> Float32[np.ndarray, "rows cols 3"]:

@@ -17,15 +17,10 @@ multiply in bfloat16. Without them torch imitates it, three times slower than si
 
 @dataclass(frozen=True)
 class Precision:
-    """A device and its arithmetic.
+    """A device and its arithmetic."""
 
-    Attributes:
-        device: that weights, batches and averages are on.
-        is_half: whether convolutions and products are computed in bfloat16; weights and losses never are.
-    """
-
-    device: torch.device
-    is_half: bool = False
+    device: torch.device  # that weights, batches and averages are on
+    is_half: bool = False  # whether convolutions and products are computed in bfloat16; weights and losses never are
 
     def __str__(self) -> str:
         """As said to users."""
@@ -37,24 +32,17 @@ class Precision:
 
 
 def choose_precision(device: str = "auto") -> Precision:
-    """What to train with.
+    """What to train with; bfloat16 has the range of single precision, so no loss needs scaling.
 
-    bfloat16 has the range of single precision, so no loss needs scaling.
-
-    Args:
-        device: one of :data:`DEVICES`; ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it
-            multiplies in it; ``cpu`` is the processor in single precision.
-
-    Raises InputError: an unknown device, or CUDA was asked for and there is none.
+    ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it multiplies in it; ``cpu`` is the
+    processor in single precision. InputError: an unknown device, or CUDA was asked for and there is none.
     """
     if device not in DEVICES:
         raise InputError(f"expected a device of {', '.join(DEVICES)}, got {device!r}")
     has_cuda = torch.cuda.is_available()
     if device == "cuda" and not has_cuda:
         raise InputError("expected a CUDA GPU and a torch that can use it, got none; use --device cpu")
-    if device == "cpu":
-        return Precision(torch.device("cpu"))
-    if has_cuda:
+    if device != "cpu" and has_cuda:
         return Precision(torch.device("cuda"), is_half=torch.cuda.is_bf16_supported())
-    multiplies = any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
+    multiplies = device == "auto" and any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
     return Precision(torch.device("cpu"), is_half=multiplies)

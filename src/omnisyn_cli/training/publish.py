@@ -14,11 +14,10 @@ from omnisyn_cli.networks.export import PARITY, export_network, largest_differen
 from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
+from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.data import list_scene_files
-from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.synsin import blend_points, draw_views
-from omnisyn_cli.training.task import Task, TrainConfig
-from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
+from omnisyn_cli.training.tasks import TASKS, Task, TrainConfig, parts_of, role_of
 
 COMPARED_EXAMPLES = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
@@ -74,36 +73,24 @@ def publish(
     for part in parts:
         check_output(folder / f"{part.name}.onnx", overwrite)
     with staged_folder(folder, overwrite=overwrite) as staged:
-        differences = [_exported(part, staged / f"{part.name}.onnx") for part in parts]
-        if not max(differences) <= PARITY:
+        made = []
+        for part in parts:
+            file = staged / f"{part.name}.onnx"
+            export_network(part.network, file)
+            entry = ModelEntry(
+                part.name, part.role, variant=part.network.config.name, file=file.name, sha256=sha256_of(file),
+                size=part.size, parameters=sum(parameter.numel() for parameter in part.network.parameters()),
+                training=training or f"{state['step']} steps", licence=licence, metrics=state.get("scores", {}),
+            )  # fmt: skip
+            made.append((entry, largest_difference(part.network, file, part.examples)))
+        worst = max(difference for _, difference in made)
+        if not worst <= PARITY:
             raise OmnisynError(
-                f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported: "
+                f"expected ONNX Runtime to agree with torch within {PARITY}, got {worst:.1e}; not exported: "
                 "train it longer, weights of the first steps may answer with nothing but rounding"
             )
-    entries = [_entry(part, folder / f"{part.name}.onnx", state, training, licence) for part in parts]
-    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
-    return list(zip(entries, differences, strict=True))
-
-
-def _entry(part: _Part, path: Path, state: Mapping[str, Any], training: str, licence: str) -> ModelEntry:
-    """What the manifest says about an exported network."""
-    return ModelEntry(
-        name=part.name,
-        role=part.role,
-        variant=part.network.config.name,
-        file=path.name,
-        sha256=sha256_of(path),
-        size=part.size,
-        parameters=sum(parameter.numel() for parameter in part.network.parameters()),
-        training=training or f"{state['step']} steps",
-        licence=licence,
-        metrics=state.get("scores", {}),
-    )
-
-
-def _exported(part: _Part, path: Path) -> float:
-    export_network(part.network, path)
-    return largest_difference(part.network, path, part.examples)
+    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry, _ in made})
+    return made
 
 
 def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:

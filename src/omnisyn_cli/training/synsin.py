@@ -1,6 +1,6 @@
 """How SynSin is taught and judged: pictures made of points, compared with the truth; depth in metres beside it.
 
-It learns from samples of pools of scenes (:mod:`omnisyn_cli.training.data`), turned upright, looking anywhere.
+It learns from samples of walks (:class:`omnisyn_cli.training.data.Walk`), looking anywhere.
 
 The depth network learns from the true inverse depth as well as from the error of the picture. From pictures alone it
 would find a depth that suits them, in an unknown unit.
@@ -21,38 +21,28 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
-from omnisyn_cli.training.data import TrainingScene, load_scene
+from omnisyn_cli.training.data import Walk, draw_walk, load_walk
 from omnisyn_cli.training.losses import depth_scores, polar_weights, sqrt_inv_depth_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures
-
-MIN_HORIZONTAL_LENGTH = 1e-3
-"""Horizontal length of the unit vector along the path below which it has no heading."""
 
 
 @dataclass(frozen=True)
 class ViewSample:
-    """One picture and what it is made of; all panoramas are upright and held alike.
+    """One picture and what it is made of; all panoramas are upright and held alike."""
 
-    Attributes:
-        images: of the panoramas, RGB in [0, 1].
-        sqrt_inv_depths: of their true inverse depths, m^-½; NaN where they are not known.
-        target_from_sources: where the panoramas are, seen from the target.
-        truth: what is to be seen.
-    """
-
-    images: Float[Tensor, "views 3 height width"]
-    sqrt_inv_depths: Float[Tensor, "views 1 height width"]
-    target_from_sources: tuple[Pose, ...]
-    truth: Float[Tensor, "3 height width"]
+    images: Float[Tensor, "views 3 height width"]  # of the panoramas, RGB in [0, 1]
+    sqrt_inv_depths: Float[Tensor, "views 1 height width"]  # of their true inverse depths, m^-½; NaN: not known
+    target_from_sources: tuple[Pose, ...]  # where the panoramas are, seen from the target
+    truth: Float[Tensor, "3 height width"]  # what is to be seen
 
 
 def draw_views(pool: list[Path], rng: np.random.Generator, count: int, size: tuple[int, int]) -> list[ViewSample]:
     """Samples of random scenes with one panorama and with two, in turn; turned, mirrored and tinted at random."""
     drawn = []
     for index in range(count):
-        scene = load_scene(pool[rng.integers(len(pool))])
-        target, sources = _chosen(len(scene.along), 1 + index % 2, rng)
-        sample = view_sample(scene, target, sources, size, heading=rng.uniform(-np.pi, np.pi))
+        walk = draw_walk(pool, rng)
+        target, sources = _chosen(len(walk.positions), 1 + index % 2, rng)
+        sample = view_sample(walk, target, sources, size, heading=rng.uniform(-np.pi, np.pi))
         drawn.append(_varied(sample, rng))
     return drawn
 
@@ -67,43 +57,25 @@ def _chosen(views: int, wanted: int, rng: np.random.Generator) -> tuple[int, tup
 
 
 def view_sample(
-    scene: TrainingScene, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
+    walk: Walk, target: int, sources: tuple[int, ...], size: tuple[int, int], *, heading: float = 0.0
 ) -> ViewSample:
-    """A sample of a scene.
-
-    Args:
-        scene: views along a line.
-        target: index of the view that is to be made.
-        sources: those of the views that it is made of.
-        size: height and width of all pictures.
-        heading: that all panoramas are turned by, radians; at 0 they look along the line.
-    """
-    held = _upright(scene.up.astype(np.float64)) @ rotation_from_heading(heading)
-    own = np.eye(3)
+    """A sample of a walk: views made of others, by their indices; all are turned by a heading, radians."""
+    own, held = np.eye(3), rotation_from_heading(heading)
 
     def colours(view: int) -> np.ndarray:
-        shown = rotated_image(scene.images[view].astype(np.float32) / np.float32(255.0), own, held, size)
+        shown = rotated_image(walk.images[view].astype(np.float32) / np.float32(255.0), own, held, size)
         return np.ascontiguousarray(shown.transpose(2, 0, 1), np.float32)
 
     directions = rotated_directions(size, own, held)
-    sqrt_inv_depths = [np.sqrt(sample_nearest(scene.inverse_depth[view], directions))[None] for view in sources]
-    along = scene.along.astype(np.float64)
-    moved = [held.T @ np.array([0.0, along[view] - along[target], 0.0]) for view in sources]
+    sqrt_inv_depths = [np.sqrt(sample_nearest(walk.inverse_depth[view], directions))[None] for view in sources]
+    positions = walk.positions.astype(np.float64)
+    moved = [held.T @ (positions[view] - positions[target]) for view in sources]
     return ViewSample(
         images=torch.from_numpy(np.stack([colours(view) for view in sources])),
         sqrt_inv_depths=torch.from_numpy(np.stack(sqrt_inv_depths).astype(np.float32)),
         target_from_sources=tuple(Pose(np.eye(3), offset) for offset in moved),
         truth=torch.from_numpy(colours(target)),
     )
-
-
-def _upright(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Pool from upright: the frame in which ``up`` is up and the line, if it leads anywhere, straight ahead."""
-    ahead = np.array([0.0, 1.0, 0.0]) - up[1] * up
-    if np.linalg.norm(ahead) < MIN_HORIZONTAL_LENGTH:
-        ahead = np.cross(up, np.array([1.0, 0.0, 0.0]))
-    ahead = ahead / np.linalg.norm(ahead)
-    return np.stack([np.cross(ahead, up), up, -ahead], axis=-1)
 
 
 def _varied(sample: ViewSample, rng: np.random.Generator) -> ViewSample:
@@ -125,17 +97,11 @@ DEPTH_WEIGHT = 0.5
 
 @dataclass(frozen=True)
 class SynSinPrediction(DepthPrediction):
-    """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure.
+    """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure."""
 
-    Attributes:
-        pictures: one for each sample.
-        sqrt_inv_depths: of the inverse depth of all panoramas of all samples, in their order.
-        config: of the networks.
-    """
-
-    pictures: Float[Tensor, "samples 3 height width"]
-    sqrt_inv_depths: Float[Tensor, "views 1 height width"]
-    config: SynSinConfig
+    pictures: Float[Tensor, "samples 3 height width"]  # one for each sample
+    sqrt_inv_depths: Float[Tensor, "views 1 height width"]  # of the inverse depth of all panoramas of all samples
+    config: SynSinConfig  # of the networks
 
     def inverse_depth(self) -> Float[Tensor, "views 1 height width"]:
         """1/metre."""
@@ -173,23 +139,19 @@ def _blend(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses:
 
 def reconstruction_loss(made: SynSinPrediction, samples: Sequence[ViewSample]) -> Tensor:
     """Absolute error of colours, and that of √(inverse depth); both weighted by solid angle."""
-    truth = _truth(samples)
+    truth = torch.stack([sample.truth for sample in samples])
     colours = ((made.pictures - truth).abs() * polar_weights(truth)).mean()
     return colours + DEPTH_WEIGHT * sqrt_inv_depth_loss(
         made.sqrt_inv_depths, torch.cat([sample.sqrt_inv_depths for sample in samples])
     )
 
 
-def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height width"]:
-    return torch.stack([sample.truth for sample in samples])
-
-
 def load_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:
     """The middle of a scene from its first view, and from its first and last; the last of two from the first, twice."""
-    scene = load_scene(path)
-    middle, last = len(scene.along) // 2, len(scene.along) - 1
+    walk = load_walk(path)
+    middle, last = len(walk.positions) // 2, len(walk.positions) - 1
     both = (0, last) if last > middle else (0,)
-    return [view_sample(scene, middle, sources, size) for sources in ((0,), both)]
+    return [view_sample(walk, middle, sources, size) for sources in ((0,), both)]
 
 
 def synsin_scores(made: SynSinPrediction, samples: Sequence[ViewSample]) -> dict[str, float]:
@@ -208,13 +170,6 @@ def synsin_pictures(made: SynSinPrediction, samples: Sequence[ViewSample]) -> di
     """The truth, the pictures from one panorama and from both, the depth of the first, of :func:`load_views`."""
     one, two = (as_array(picture.clamp(0.0, 1.0)) for picture in made.pictures)
     first = samples[0]
-    found = made.inverse_depth()[0, 0].sqrt()
-    depth = depth_pictures(as_array(first.images[0]), as_array(found), as_array(first.sqrt_inv_depths[0, 0]))
-    return {
-        "input": depth["input"],
-        "aim": as_array(first.truth),
-        "one view": one,
-        "two views": two,
-        "depth": depth["prediction"],
-        "true depth": depth["truth"],
-    }
+    depth = depth_pictures(first.images[0], made.inverse_depth()[0, 0].sqrt(), first.sqrt_inv_depths[0, 0])
+    shown = {"input": depth["input"], "aim": as_array(first.truth), "one view": one, "two views": two}
+    return shown | {"depth": depth["prediction"], "true depth": depth["truth"]}

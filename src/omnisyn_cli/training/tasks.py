@@ -1,12 +1,14 @@
-"""All kinds of networks, and what each is taught."""
+"""All kinds of networks, and what the training loop has to know of each."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
     COMPLETION_VARIANTS,
     FILLED_CHANNEL,
@@ -26,28 +28,120 @@ from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
-from omnisyn_cli.training.completion import draw_completion
-from omnisyn_cli.training.data import Batch, FeatureBatch
-from omnisyn_cli.training.fusion_scenes import draw_fusion, load_fusion
+from omnisyn_cli.training.completion import FeatureBatch, draw_completion
+from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
+from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
+from omnisyn_cli.training.pairs import draw_pairs, draw_triples
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
-from omnisyn_cli.training.task import Task
-from omnisyn_cli.training.triples import draw_pairs, draw_triples
+
+VALIDATION_SEED = 1
+"""Of the draws of held-out batches: the same in every run, so that losses can be compared."""
+
+HELD_OUT_LOSS = "held_out_loss"
+"""Name among the figures of the loss of what networks are judged by."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One stage of training; a later stage may change any of it."""
+
+    pool: str  # folders of scenes, see data
+    validation_pool: str
+    size: tuple[int, int] = (256, 512)  # of the images, a whole fraction of the pool's
+    batch: int = 4  # pairs per step
+    rate: float = 6e-4  # learning rate after the warm-up
+    warmup_steps: int = 200  # steps over which the rate rises from zero
+    cooldown_steps: int = 0  # over which the rate falls to zero, from the first step of this call on; then it ends
+    weight_decay: float = 1e-4  # of AdamW, and the greatest norm of a gradient
+    clip: float = 1.0
+    ema: float = 0.998  # decay of the average per step (smaller at the beginning)
+    seed: int = 0  # of the weights and of all batches
+    validate_every: int = 250  # in steps
+    save_every: int = 50
+    validation_pairs: int = 32  # how many pairs are scored
+    guided: float = 0.0  # share of the pairs that a depth network is shown with what matching would say
+
+
+@dataclass(frozen=True)
+class Task:
+    """A kind of network: what it is shown, how it is taught, how it is judged.
+
+    Batches are dataclasses of tensors, or lists of them. ``draw`` makes that of a step, on the processor: of a pool,
+    random numbers, a stage, the network and the variation of colours, or None. ``held_out`` makes one to be judged by,
+    of a scene's file, the number of times that it was looked at before, and the stage; None draws it without varying
+    colours.
+    """
+
+    config: type[Any]  # class of its configuration, with ``as_dict`` and ``from_dict``
+    variants: Mapping[str, Any]  # the configurations by name
+    build: Callable[[Any], Any]  # a fresh network of a configuration
+    draw: Callable[[list[Path], np.random.Generator, TrainConfig, Any, Augmentation | None], Any]
+    loss: Callable[[Any, Any], Tensor]  # of an answer to a batch, a scalar
+    scores: Callable[[Any, Any], dict[str, float]]  # figures of an answer to a batch
+    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: batch.inputs  # of a network and a batch
+    answer: Callable[[Any, Any], Any] | None = None  # of a network to a batch; None calls it with ``inputs``
+    pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None  # RGB in [0, 1] by name; None: nobody looks
+    held_out: Callable[[Path, int, TrainConfig], Any] | None = None
+    pool: str = "pool"  # command that makes what it learns from, see list_scene_files
+    role: str | None = None  # what it is for; None where that is the kind itself
+
+    def answer_of(self, network: Any, batch: Any) -> Any:
+        """What a network says to a batch."""
+        return network(*self.inputs(network, batch)) if self.answer is None else self.answer(network, batch)
+
+    def validation(self, network: Any, stage: TrainConfig) -> Iterator[Any]:
+        """What networks are judged by: always the same, where the weights are."""
+        pool = list_scene_files(Path(stage.validation_pool), self.pool)
+        for index in range(stage.validation_pairs):
+            path = pool[index % len(pool)]
+            if self.held_out is None:
+                rng = np.random.default_rng([VALIDATION_SEED, index])
+                batch = self.draw([path], rng, replace(stage, batch=1), network, None)
+            else:
+                batch = self.held_out(path, index // len(pool), stage)
+            yield on_device(batch, next(network.parameters()).device)
+
+    @torch.no_grad()
+    def validate(self, network: Any, stage: TrainConfig) -> dict[str, float]:
+        """Mean figures, of which NaN, as of pairs without sky, is left out; and the mean loss, which may be NaN."""
+        scores, losses = [], []
+        for batch in self.validation(network, stage):
+            answer = self.answer_of(network, batch)
+            scores.append(self.scores(answer, batch))
+            losses.append(float(self.loss(answer, batch)))
+        rows = torch.tensor([list(score.values()) for score in scores])
+        means = dict(zip(scores[0], rows.nanmean(dim=0).tolist(), strict=True))
+        return means | {HELD_OUT_LOSS: float(torch.tensor(losses).mean())}
+
+    @torch.no_grad()
+    def show(self, network: Any, stage: TrainConfig) -> dict[str, np.ndarray]:
+        """Pictures of the first of what networks are judged by; none where nobody looks."""
+        if self.pictures is None:
+            return {}
+        batch = next(self.validation(network, stage))
+        return self.pictures(self.answer_of(network, batch), batch)
+
+
+def on_device(batch: Any, device: torch.device) -> Any:
+    """A batch on another device."""
+    if isinstance(batch, list):
+        return [on_device(sample, device) for sample in batch]
+    tensors = {name: value.to(device) for name, value in vars(batch).items() if isinstance(value, Tensor)}
+    return replace(batch, **tensors)
+
 
 NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 
-def _depth_pictures(answer: DepthPrediction, batch: Batch) -> dict[str, np.ndarray]:
-    found = answer.inverse_depth().sqrt()
-    return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.sqrt_inv_depth[0, 0])))
+def _depth_pictures(answer: DepthPrediction, batch: Any) -> dict[str, np.ndarray]:
+    return depth_pictures(batch.first[0], answer.inverse_depth()[0, 0].sqrt(), batch.sqrt_inv_depth[0, 0])
 
 
 def _guided_pictures(answer: GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
-    """The first pair, with the confidence from black to white."""
-    found = answer.inverse_depth().sqrt()
-    shown = depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.sqrt_inv_depth[0, 0])))
-    return shown | {"confidence": np.stack([as_array(answer.confidence()[0, 0])] * 3, axis=-1)}
+    """With the confidence from black to white."""
+    return _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
 
 
 def _completion_scores(answer: CompletionPrediction, batch: FeatureBatch) -> dict[str, float]:
@@ -57,11 +151,10 @@ def _completion_scores(answer: CompletionPrediction, batch: FeatureBatch) -> dic
 
 def _completion_pictures(answer: CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
     """The prediction, the reliable matches, and the map that was filled from these."""
-    channels, found = batch.channels[0], answer.inverse_depth().sqrt()[0, 0]
-    image, truth = as_array(channels[:3]), as_array(batch.sqrt_inv_depth[0, 0])
-    predicted, filled = (depth_pictures(image, as_array(depth), truth) for depth in (found, channels[FILLED_CHANNEL]))
-    is_reliable = as_array(reliable_mask(batch.channels)[0]) > 0
-    known = np.where(is_reliable, filled["truth"], np.float32(0.0))
+    channels, truth = batch.channels[0], batch.sqrt_inv_depth[0, 0]
+    predicted = depth_pictures(channels[:3], answer.inverse_depth()[0, 0].sqrt(), truth)
+    filled = depth_pictures(channels[:3], channels[FILLED_CHANNEL], truth)
+    known = np.where(as_array(reliable_mask(batch.channels)[0]) > 0, filled["truth"], np.float32(0.0))
     return predicted | {"filled": filled["prediction"], "known": known}
 
 
@@ -88,7 +181,6 @@ TASKS: Mapping[str, Task] = {
         loss=guided_loss,
         scores=guided_scores,
         pictures=_guided_pictures,
-        pools=("recipe",),
         role="guided-depth",
     ),
     "completion": Task(
@@ -101,7 +193,7 @@ TASKS: Mapping[str, Task] = {
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
         scores=_completion_scores,
         pictures=_completion_pictures,
-        pools=("evidence",),
+        pool="evidence",
     ),
     "fusion": Task(
         FusionConfig,
@@ -114,8 +206,8 @@ TASKS: Mapping[str, Task] = {
         scores=lambda answer, batch: fusion_losses.fusion_scores(
             answer, batch.channels, batch.truth, batch.pictures[:, :3]
         ),
-        held_out=lambda path, turn, _: load_fusion(path, turn),
-        pools=("fusion-pool",),
+        held_out=lambda path, turn, _: stacked(load_samples(path, FusionBatch, turn)),
+        pool="fusion-pool",
     ),
     "joint": Task(
         joint.JointConfig,
@@ -139,7 +231,6 @@ TASKS: Mapping[str, Task] = {
         scores=synsin.synsin_scores,
         pictures=synsin.synsin_pictures,
         held_out=lambda path, _, stage: synsin.load_views(path, stage.size),
-        is_repeated=False,
     ),
 }
 """By the kind that a checkpoint names."""
@@ -158,16 +249,6 @@ def role_of(kind: str) -> str:
 def kinds_for(role: str) -> tuple[str, ...]:
     """The kinds of network for a role."""
     return tuple(kind for kind in TASKS if role_of(kind) == role)
-
-
-def task_named(kind: object, path: Path) -> Task:
-    """The task of a checkpoint.
-
-    Raises InputError: there is no such kind.
-    """
-    if kind not in TASKS:
-        raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {kind!r}")
-    return TASKS[str(kind)]
 
 
 def parts_of(network: Any) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from omnisyn_cli.io import read_depth
 from omnisyn_cli.io.encode import write_image
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.training.walks import load_walk
+from omnisyn_cli.training.data import load_walk
 
 
 def test_a_glb_comes_with_its_texture(tmp_path):

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import OmnisynError, OutputPathError, WriteError
-from omnisyn_cli.training import line_scenes
-from omnisyn_cli.training.data import load_scene, save_arrays
-from omnisyn_cli.training.line_scenes import LineSceneConfig
+from omnisyn_cli.training import scene_makers, walks
+from omnisyn_cli.training.data import load_walk, save_samples
+from omnisyn_cli.training.walks import WalkConfig, make_walk_file
 
-SMALL = LineSceneConfig(size=(16, 32), views=2, supersample=1)
+SMALL = WalkConfig(size=(16, 32), kinds=("room",), pose_error_share=0.3, views=2, supersample=1)
 
 
 def test_a_kind_that_does_not_exist_is_not_skipped(tmp_path):
     with pytest.raises(ValueError, match="streets"):
-        line_scenes.render_line_scene(tmp_path, 0, LineSceneConfig(kinds=("streets",)))
+        make_walk_file(tmp_path, 0, WalkConfig(kinds=("streets",)))
 
 
 def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypatch):
@@ -24,11 +24,11 @@ def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypa
         raise ValueError("no room")
 
     with monkeypatch.context() as patch:
-        patch.setattr(line_scenes, "render_views", no_room)
+        patch.setattr(walks, "render_panorama", no_room)
         with pytest.raises(ValueError, match="no room"):
-            line_scenes.render_line_scene(tmp_path, 0, SMALL)
-    monkeypatch.setattr(line_scenes, "sample_path", no_room)
-    assert line_scenes.render_line_scene(tmp_path, 0, SMALL) is None
+            make_walk_file(tmp_path, 0, SMALL)
+    monkeypatch.setattr(scene_makers, "sample_path", no_room)
+    assert make_walk_file(tmp_path, 0, SMALL) is None
     assert list(tmp_path.iterdir()) == []
 
 
@@ -43,7 +43,7 @@ def first_fails(folder: Path, seed: int) -> Path:
 
 def test_after_a_failure_nothing_more_is_begun(tmp_path):
     with pytest.raises(WriteError, match="full"):
-        list(line_scenes.make_scene_files(tmp_path, range(500), first_fails))
+        list(scene_makers.make_scene_files(tmp_path, range(500), first_fails))
     assert len(list(tmp_path.iterdir())) < 250
 
 
@@ -57,14 +57,14 @@ def kills_itself(folder: Path, seed: int) -> Path:
 
 def test_a_worker_that_is_killed_is_an_error_in_one_line(tmp_path):
     with pytest.raises(OmnisynError, match="expected worker processes to live, got one that was killed; start"):
-        list(line_scenes.make_scene_files(tmp_path, range(3), kills_itself))
+        list(scene_makers.make_scene_files(tmp_path, range(3), kills_itself))
     assert (tmp_path / "0").exists()
 
 
 def test_a_place_that_cannot_be_written_is_named_before_any_scene_is_rendered(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputPathError, match="file/pool: expected a folder for a pool"):
-        list(line_scenes.make_scene_files(tmp_path / "file" / "pool", range(1), first_fails))
+        list(scene_makers.make_scene_files(tmp_path / "file" / "pool", range(1), first_fails))
 
 
 def test_a_full_disk_is_a_write_error_and_leaves_no_partial_file(tmp_path, monkeypatch):
@@ -74,15 +74,15 @@ def test_a_full_disk_is_a_write_error_and_leaves_no_partial_file(tmp_path, monke
 
     monkeypatch.setattr("omnisyn_cli.training.data.np.savez", full)
     with pytest.raises(WriteError, match=r"a\.npz: expected to write it, got 'No space left on device'"):
-        save_arrays(tmp_path / "a.npz", {})
+        save_samples(tmp_path / "a.npz", [])
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_file_of_a_seed_is_its_scene(tmp_path):
-    path = line_scenes.render_line_scene(tmp_path, 4, SMALL)
+    path = make_walk_file(tmp_path, 4, SMALL)
     assert path == tmp_path / "00000004.npz"
-    scene = load_scene(path)
-    again, other = (load_scene(line_scenes.render_line_scene(tmp_path / "again", seed, SMALL)) for seed in (4, 6))
+    scene = load_walk(path)
+    again, other = (load_walk(make_walk_file(tmp_path / "again", seed, SMALL)) for seed in (4, 6))
     np.testing.assert_array_equal(again.images, scene.images)
     np.testing.assert_array_equal(again.inverse_depth, scene.inverse_depth)
     assert (other.images != scene.images).any()
