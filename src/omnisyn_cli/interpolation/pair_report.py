@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.interpolation.checks import check_page
@@ -41,10 +40,9 @@ def write_pair_report(job: TourJob) -> TourPlan:
     plan = plan_tour(job)
     poses = PoseFile(job.poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)))
     options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0)
-    scores: dict[int, PairConfidence] = {}
     pairs = [
-        _described(plan, pair, scores[pair.index], diagnosis)
-        for pair, diagnosis in zip(tour_surfaces(plan, scores), check_poses(job.images, poses, options), strict=True)
+        _described(plan, pair, diagnosis)
+        for pair, diagnosis in zip(tour_surfaces(plan), check_poses(job.images, poses, options), strict=True)
     ]
     loader = PackageLoader("omnisyn_cli.interpolation", "templates")
     page = Environment(loader=loader, undefined=StrictUndefined, autoescape=True).get_template("pairs.html.j2")
@@ -53,14 +51,14 @@ def write_pair_report(job: TourJob) -> TourPlan:
     return plan
 
 
-def _described(plan: TourPlan, pair: PairSurfaces, score: PairConfidence, diagnosis: PairDiagnosis) -> dict[str, Any]:
+def _described(plan: TourPlan, pair: PairSurfaces, diagnosis: PairDiagnosis) -> dict[str, Any]:
     """What the page shows of a pair."""
     views = [surface.view for surface in pair.surfaces]
     kinds = _kinds(diagnosis)
     matched = (diagnosis.matches.first, diagnosis.matches.second)
     first, second = pair.surfaces
     height = height_in_depth((first.view.pose, second.view.pose), (first.depth, second.depth))
-    summary = TourSummary(plan, {}, {pair.index: score})
+    summary = TourSummary(plan, pairs={pair.index: pair.cross_check.confidence})
     return {
         "title": f"{diagnosis.first.name} and {diagnosis.second.name}",
         "lines": [

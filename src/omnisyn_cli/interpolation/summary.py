@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from statistics import fmean, median
 from typing import Any, ClassVar
@@ -83,7 +83,7 @@ class Made:
 
 @dataclass(frozen=True)
 class TourSummary:
-    """What was done, whatever was made.
+    """What was done, whatever was made; :func:`omnisyn_cli.interpolation.surfaces.tour_surfaces` fills it.
 
     Attributes:
         plan: what was planned.
@@ -94,10 +94,10 @@ class TourSummary:
     """
 
     plan: TourPlan
-    seconds: dict[str, float]
-    pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
-    left_out: Mapping[int, float] = field(default_factory=dict)
-    soft_pairs: Collection[int] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    pairs: dict[int, PairConfidence] = field(default_factory=dict)
+    left_out: dict[int, float] = field(default_factory=dict)
+    soft_pairs: list[int] = field(default_factory=list)
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
     """What to do about a doubtful pair."""

@@ -4,7 +4,7 @@
 and preset; :func:`panorama_surfaces` is for what wants the surface of each panorama once.
 """
 
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, groupby
 
@@ -14,9 +14,9 @@ from jaxtyping import Float, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import limited_threads
-from omnisyn_cli.fusion.confidence import PairConfidence
-from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
+from omnisyn_cli.interpolation.loading import Loader
 from omnisyn_cli.interpolation.plan import TourPlan
+from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
@@ -79,10 +79,8 @@ class PairSurfaces:
 
 def tour_surfaces(
     plan: TourPlan,
-    scores: MutableMapping[int, PairConfidence] | None = None,
-    left_out: MutableMapping[int, float] | None = None,
+    summary: TourSummary | None = None,
     *,
-    read: PanoramaReader = read_panorama,
     estimator: DepthEstimator | None = None,
     clock: Stopwatch | None = None,
 ) -> Iterator[PairSurfaces]:
@@ -90,16 +88,15 @@ def tour_surfaces(
 
     Args:
         plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its config depth, cut and device matter.
-        scores: is given how far each pair can be relied on, by the index of its first panorama.
-        left_out: is given what share of each panorama moves with the camera or is painted over, by its index.
-        read: decodes a panorama.
+        summary: is given what there is to know about pairs and panoramas.
         estimator: finds depth in place of the config's.
         clock: collects seconds by stage.
 
-    Raises InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
+    Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
+    doubtful and the fallback is to give up.
     """
     clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
-    loader = Loader(plan, clock, read)
+    loader = Loader(plan, clock, read_panorama)
     estimator = estimator or make_estimator(config.depth, device=config.device, threads=threads)
     tour = ChainDepth(loader, estimator, clock, threads, plan.pairs)
     for index, (first, second) in enumerate(plan.pairs):
@@ -109,10 +106,12 @@ def tour_surfaces(
             depths, check = measure_pair(index, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
                 pair = pair_surfaces(plan, index, views, depths, check)
-        if scores is not None:
-            scores[index] = check.confidence
-        if left_out is not None:
-            left_out.update(loader.left_out)
+        refuse_doubtful(plan, index, check.confidence)
+        if summary is not None:
+            summary.pairs[index] = check.confidence
+            summary.left_out.update(loader.left_out)
+            if pair.is_soft:
+                summary.soft_pairs.append(index)
         yield pair
 
 

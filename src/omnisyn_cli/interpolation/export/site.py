@@ -13,6 +13,7 @@ from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_angle
 from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_angles, pixel_to_direction
+from omnisyn_cli.interpolation.export.datasets import safe_name
 from omnisyn_cli.interpolation.surfaces import quantized_picture
 from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
@@ -73,7 +74,8 @@ class SitePanorama:
         picture: file, relative to the site.
         position: in the world, metres.
         yaw, pitch: radians of the first view, if one begins there.
-        marks: links to other panoramas, then hotspots.
+        links: to other panoramas.
+        hotspots: all other marks.
     """
 
     identity: str
@@ -83,7 +85,8 @@ class SitePanorama:
     position: Float[np.ndarray, " 3"]
     yaw: float
     pitch: float
-    marks: tuple[SiteMark, ...]
+    links: tuple[SiteMark, ...]
+    hotspots: tuple[SiteMark, ...]
 
 
 @dataclass(frozen=True)
@@ -105,26 +108,21 @@ class Site:
     @property
     def links(self) -> int:
         """Ways between panoramas; each leads in both directions."""
-        return sum(mark.target is not None for panorama in self.panoramas for mark in panorama.marks) // 2
+        return sum(len(panorama.links) for panorama in self.panoramas) // 2
 
 
-def site_of(tour: Tour, identities: Mapping[str, str], images: Mapping[Path, str], *, has_clips: bool = False) -> Site:
-    """The site of a tour.
-
-    Args:
-        tour: the tour.
-        identities: of the panoramas, by their names.
-        images: where the site has the pictures of hotspots.
-        has_clips: whether there is a video of every way.
-    """
-    panoramas = tuple(_panorama(tour, panorama, identities, images, has_clips) for panorama in tour.panoramas)
+def site_of(tour: Tour, *, has_clips: bool = False) -> Site:
+    """The site of a tour, with a video of every way or without."""
+    identities = {
+        panorama.name: safe_name(index, panorama.image).replace(".", "_")
+        for index, panorama in enumerate(tour.panoramas)
+    }
+    panoramas = tuple(_panorama(tour, panorama, identities, has_clips) for panorama in tour.panoramas)
     return Site(tour.title, panoramas, identities[tour.start.panorama], tour.start.fov)
 
 
-def _panorama(
-    tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], images: Mapping[Path, str], has_clips: bool
-) -> SitePanorama:
-    identity, pose = identities[panorama.name], panorama.pose
+def _panorama(tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], has_clips: bool) -> SitePanorama:
+    identity, pose, images = identities[panorama.name], panorama.pose, hotspot_pictures(tour)
     links = tuple(_link(pose, tour.by_name[name], identities[name]) for name in tour.neighbours[panorama.name])
     if has_clips:
         links = tuple(replace(link, clip=f"{CLIPS}/{identity}--{link.target}.mp4") for link in links)
@@ -134,9 +132,7 @@ def _panorama(
         ahead = angles_to_direction(np.array(tour.start.yaw), np.array(math.radians(90.0) - tour.start.pitch))
         yaw, pitch = yaw_and_pitch(pose.rotation @ ahead)
     picture = f"{PICTURES}/{identity}.jpg"
-    return SitePanorama(
-        identity, panorama.title, panorama.caption, picture, pose.position, yaw, pitch, (*links, *hotspots)
-    )
+    return SitePanorama(identity, panorama.title, panorama.caption, picture, pose.position, yaw, pitch, links, hotspots)
 
 
 def _link(pose: Pose, other: TourPanorama, identity: str) -> SiteMark:

@@ -9,7 +9,6 @@ from typing import Any
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError, PoseError
-from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.configs import page_config
 from omnisyn_cli.interpolation.job import TourJob
@@ -21,7 +20,7 @@ from omnisyn_cli.interpolation.plan import (
     vertices_of_surface,
 )
 from omnisyn_cli.interpolation.planning.memory import Footprint
-from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
+from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
 from omnisyn_cli.interpolation.viewer.packing import level_widths
@@ -183,21 +182,14 @@ def run_view(
     doubtful and the fallback is to give up; OutputPathError: the walk is too large for one file; WriteError: the
     disk is full.
     """
-    clock = Stopwatch()
-    pairs: dict[int, PairConfidence] = {}
-    left_out: dict[int, float] = {}
-    soft_pairs: list[int] = []
-    job = plan.job
+    clock, job, summary = Stopwatch(), plan.job, ViewSummary(plan)
     former = former_files(job.output, [MANIFEST_NAME], NAMED_BLOCK)
     folder = replaced_folder(job.output, former, overwrite=job.overwrite)
     with folder if job.is_folder else nullcontext() as staged:
         keep = None if staged is None else partial(_write_block, staged)
         with clock("pack"):
             packer = TourPacker(plan, job.options, keep)
-        for done, pair in enumerate(tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock), start=1):
-            refuse_doubtful(plan, pair.index, pair.cross_check.confidence)
-            if pair.is_soft:
-                soft_pairs.append(pair.index)
+        for done, pair in enumerate(tour_surfaces(plan, summary, estimator=estimator, clock=clock), start=1):
             with clock("pack"):
                 packer.add(pair)
             if staged is None:
@@ -210,7 +202,7 @@ def run_view(
                 size = write_page(job.output, packed_viewer)
             else:
                 size = packer.blocks.size + write_folder(staged, packed_viewer, len(packer.blocks))
-    return ViewSummary(plan, clock.with_total(), pairs, left_out, soft_pairs, size)
+    return replace(summary, seconds=clock.with_total(), size=size)
 
 
 def _check_linked(plan: TourPlan) -> None:
