@@ -202,7 +202,7 @@ def interpolate(
     def plan_of(job: InterpolationJob) -> InterpolationPlan:
         plan = plan_interpolation(job)
         if budget is not None:
-            from omnisyn_cli.interpolation.planning.budget import apply_budget
+            from omnisyn_cli.interpolation.planning.duration import apply_budget
 
             plan = apply_budget(plan, budget)
         check_device(plan.config)

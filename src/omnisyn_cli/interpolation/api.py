@@ -19,10 +19,11 @@ from jaxtyping import Float, Float32, Shaped
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.job import OUTPUTS, InterpolationJob, TourJob
+from omnisyn_cli.interpolation.loading import known_depth
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
-from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
+from omnisyn_cli.io import MAX_PIXELS, open_video, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig, frame_size
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -70,11 +71,7 @@ def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: fl
             panorama.mask, panorama.image.shape[:2], (entry.mask,), math.radians(nadir_deg),
             allow_aspect=False, max_pixels=MAX_PIXELS,
         )  # fmt: skip
-        known = None
-        if entry.depth is not None:
-            inverse_depth = read_inverse_depth(entry.depth)
-            known = DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
-        views.append(View(panorama.image, entry.pose, mask, known))
+        views.append(View(panorama.image, entry.pose, mask, known_depth(entry)))
     return views
 
 
@@ -84,16 +81,16 @@ def estimate_depth(
     """Inverse depth (1/metre) and confidence of both panoramas of a pair, each in its own frame.
 
     Args:
-        first: a panorama with its pose.
-        second: its neighbour.
+        first, second: neighbours with their poses.
         config: name of a preset, or a config; only its depth and device matter.
         threads: at most this many; None is one per core.
 
     Raises InputError: a network is missing, or there is no such device.
     """
     config = _resolved(config)
-    estimator = make_estimator(config.depth, device=config.device, threads=threads)
-    return estimator(*equalize_exposure(first, second, threads))
+    return make_estimator(config.depth, device=config.device, threads=threads)(
+        *equalize_exposure(first, second, threads)
+    )
 
 
 def make_frames(
@@ -115,8 +112,7 @@ def make_frames(
         frames: at least one per panorama.
         config: name of a preset, or a config. A preset takes the depth of the views where all of them have some.
         size: of the frames, such as ``"2048x1024"``, or (width, height); that of the first panorama by default.
-        ease: ``linear`` or ``smooth``, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
-        heading: which way frames look, likewise.
+        ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
         estimator: finds depth in place of the config's.
         fuser: joins both renderings in place of the config's; for frames of this size.
         threads: at most this many; None is one per core.
@@ -125,8 +121,9 @@ def make_frames(
     frames than views.
     """
     path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
-    is_known = estimator is None and all(view.known_depth is not None for view in views)
-    chosen = _resolved(config).of_known_depth() if is_known and isinstance(config, str) else _resolved(config)
+    chosen = _resolved(config)
+    if isinstance(config, str) and estimator is None and all(view.known_depth is not None for view in views):
+        chosen = chosen.of_known_depth()
     height, width = views[0].image.shape[:2] if size is None else frame_size(size)
     method = make_method(chosen, (height, width), threads=threads, estimator=estimator, fuser=fuser)
     for frame in synthesize(views, path, method):

@@ -12,7 +12,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import reading_of
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.io import Panorama, read_inverse_depth
+from omnisyn_cli.io import MAX_PIXELS, Panorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.types import DepthEstimate, View
@@ -106,7 +106,7 @@ def _read_companions(
         allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
         reading=replace(reading_of(job), view_transform=False, size=plan.source_sizes[index]),
     )  # fmt: skip
-    return mask, _known_depth(plan, entry)
+    return mask, known_depth(entry, job.max_pixels) if plan.config.depth.strategy.reads_files else None
 
 
 def _find_camera_fixed(
@@ -138,8 +138,9 @@ def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:
     )
 
 
-def _known_depth(plan: TourPlan, entry: PosedPanorama) -> DepthEstimate | None:
-    if not plan.config.depth.strategy.reads_files or entry.depth is None:
+def known_depth(entry: PosedPanorama, max_pixels: int = MAX_PIXELS) -> DepthEstimate | None:
+    """What the depth file of a panorama says, if it has one. ImageError: it is damaged, or has more pixels."""
+    if entry.depth is None:
         return None
-    inverse_depth = read_inverse_depth(entry.depth, max_pixels=plan.job.max_pixels)
+    inverse_depth = read_inverse_depth(entry.depth, max_pixels=max_pixels)
     return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))

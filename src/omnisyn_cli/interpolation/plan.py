@@ -16,12 +16,7 @@ from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.configs import for_frames, surface_config, video_config
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
-from omnisyn_cli.interpolation.planning.memory import (
-    Footprint,
-    estimated_memory,
-    estimated_surface_memory,
-    fuses_chain_depth,
-)
+from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
@@ -107,7 +102,7 @@ class TourPlan:
     @property
     def looks_ahead(self) -> bool:
         """Whether depth of a panorama comes from all its neighbours, for which other pairs are compared as well."""
-        return fuses_chain_depth(self.config, len(self.entries))
+        return self.config.estimates_depth and len(self.entries) > 2
 
     @property
     def views_at_once(self) -> int:
@@ -123,9 +118,30 @@ class TourPlan:
         counts = Counter(view for pair in apart for view in pair)
         return sum(count > 1 for count in counts.values()) if self.looks_ahead else 0
 
-    def describe(self) -> dict[str, Any]:
-        """The plan as plain values, for people and for JSON."""
-        raise NotImplementedError
+    @property
+    def surface_sizes(self) -> list[tuple[int, int]]:
+        """Height and width of surfaces, from coarse to fine."""
+        files = [entry.depth for entry in self.entries if entry.depth is not None]
+        depth = self.config.depth
+        return depth.strategy.grid_sizes(depth, max(height for height, _ in self.source_sizes), files)
+
+    @property
+    def memory_estimate(self) -> MemoryEstimate:
+        """What memory is estimated from."""
+        return MemoryEstimate(self.job, self.config, self.source_sizes, self.surface_sizes, self.looks_ahead)
+
+    @property
+    def memory(self) -> int:
+        """Bytes that it will take, estimated; of surfaces alone unless something is made of them."""
+        return self.memory_estimate.of_surfaces(Footprint())
+
+    def pairs_at_one_place(self) -> Iterator[tuple[str, bool]]:
+        """For neighbours without a way between them words that say so, and whether they are turned to each other."""
+        for a, b in self.pairs:
+            first, second = self.entries[a].pose, self.entries[b].pose
+            if at_same_position(first, second):
+                names = f"{self.job.images[a].name} and {self.job.images[b].name}"
+                yield f"{names} have the same position", not second.almost_equals(first)
 
     def what(self) -> str:
         """What is made, in a few words."""
@@ -140,17 +156,13 @@ class TourPlan:
         memory = f"{values['memory_mib'] * 2**20 / 1e9:.1f} GB of memory"
         return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory)))
 
-    def described(
-        self, before: Mapping[str, Any], memory: int, after: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
-        """The plan as plain values, for people and for JSON.
+    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What :meth:`describe` says of the thing that is made: before how depth is found, and after it."""
+        return {}, {}
 
-        Args:
-            before: what is said before how depth is found.
-            memory: bytes that will be taken.
-            after: what is said after it.
-        """
-        config = self.config
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        config, (before, after) = self.config, self.details()
         is_own = config.draws_surfaces
         return {
             "inputs": [str(image) for image in self.job.images],
@@ -160,8 +172,8 @@ class TourPlan:
             "depth": config.depth.kind,
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
             "joined_depths": self.fused_depths,
-            **(after or {}),
-            "memory_mib": round(memory / 2**20),
+            **after,
+            "memory_mib": round(self.memory / 2**20),
             "notes": list(self.notes),
         }
 
@@ -173,15 +185,21 @@ class InterpolationPlan(TourPlan):
     Attributes:
         size: (height, width) of the video, or of what one eye sees.
         path: a waypoint for every frame.
-        length: metres from the first panorama to the last.
-        memory: bytes that the pictures and buffers will take, estimated.
     """
 
     job: InterpolationJob
     size: tuple[int, int]
     path: tuple[Waypoint, ...]
-    length: float
-    memory: int
+
+    @property
+    def length(self) -> float:
+        """Metres from the first panorama to the last."""
+        return path_length([entry.pose for entry in self.entries])
+
+    @property
+    def memory(self) -> int:
+        """Bytes that the pictures and buffers will take, estimated."""
+        return self.memory_estimate.of_frames(self.job, self.size)
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -196,8 +214,8 @@ class InterpolationPlan(TourPlan):
         codec = CODEC_NAMES[self.job.codec or "h264"]
         return f"{frames / self.job.fps:.3g} s of {width}x{height} {codec}, {frames} frames"
 
-    def describe(self) -> dict[str, Any]:
-        """See :meth:`TourPlan.described`."""
+    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """See :meth:`TourPlan.details`."""
         (height, width), config, job = self.frame_size, self.config, self.job
         is_own = config.draws_surfaces
         video = {
@@ -209,7 +227,7 @@ class InterpolationPlan(TourPlan):
             "fusion": config.fusion if is_own else "",
             "view": "" if job.view is None else str(job.view), "path_metres": round(self.length, 4),
         }  # fmt: skip
-        return self.described(video, self.memory, drawn)
+        return video, drawn
 
 
 def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
@@ -241,8 +259,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     return InterpolationPlan(
         job, entries, sources, config,
         (*tour.notes, *_notes_about_video(tour, config), *_notes_about_size(job, tour.source_sizes, sources)),
-        tour.tour, size, path, path_length(poses),
-        estimated_memory(job, config, size, sources, _surface_sizes(config, sources, entries)),
+        tour.tour, size, path,
     )  # fmt: skip
 
 
@@ -289,25 +306,12 @@ def plan_tour(
     config = _installed(config_of(job, entries))
     checks.check_companions(job, entries, source_sizes, config)
     title = f"{job.images[0].stem} – {job.images[-1].stem}"
-    tour = read_tour(
-        job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside
-    )  # fmt: skip
+    tour = read_tour(job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside)
     for picture in (*tour.hotspot_pictures, *([] if tour.plan is None else [tour.plan.image])):
         read_header(picture)  # before depth is found, which takes long
     plan = TourPlan(job, entries, source_sizes, config, (), tour)
     about_places, about_depth = _notes_about_baselines(plan), _notes_about_depth(job, entries, config)
     return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *about_places, *about_depth))
-
-
-def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
-    """Bytes that something made of the surfaces of a tour will take, estimated."""
-    surfaces = _surface_sizes(tour.config, tour.source_sizes, tour.entries)
-    return estimated_surface_memory(tour.job, tour.config, tour.source_sizes, surfaces, footprint)
-
-
-def vertices_of_surface(tour: TourPlan) -> int:
-    """Of the largest surface of a tour."""
-    return max(rows * cols for rows, cols in _surface_sizes(tour.config, tour.source_sizes, tour.entries))
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
@@ -317,11 +321,7 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     """
     job = replace(plan.job, preset=preset)
     config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
-    surfaces = _surface_sizes(config, plan.source_sizes, plan.entries)
-    return replace(
-        plan, job=job, config=config,
-        memory=estimated_memory(job, config, plan.size, plan.source_sizes, surfaces),
-    )  # fmt: skip
+    return replace(plan, job=job, config=config)
 
 
 def _installed(config: RunConfig) -> RunConfig:
@@ -398,14 +398,6 @@ def frame_count(job: InterpolationJob) -> int:
     return round(count)
 
 
-def _surface_sizes(
-    config: RunConfig, sources: Sequence[tuple[int, int]], entries: Sequence[PosedPanorama]
-) -> list[tuple[int, int]]:
-    """Height and width of surfaces, from coarse to fine."""
-    files = [entry.depth for entry in entries if entry.depth is not None]
-    return config.depth.strategy.grid_sizes(config.depth, max(height for height, _ in sources), files)
-
-
 def _encoder(job: InterpolationJob) -> str:
     """The codec and its settings in a few words."""
     if is_sequence(job.output):
@@ -463,15 +455,6 @@ def _notes_about_baselines(plan: TourPlan) -> Iterator[str]:
 def _notes_about_video(tour: TourPlan, config: RunConfig) -> Iterator[str]:
     if note := config.method_strategy.note:
         yield f"{config.method} {note}"
-    for where, is_turned in pairs_at_one_place(tour):
+    for where, is_turned in tour.pairs_at_one_place():
         how = "turns in place and cross-fades" if is_turned else "cross-fades"
         yield f"{where}: there is no parallax to follow, the video {how}"
-
-
-def pairs_at_one_place(plan: TourPlan) -> Iterator[tuple[str, bool]]:
-    """For neighbours without a way between them the words that say so, and whether they are turned to each other."""
-    for a, b in plan.pairs:
-        first, second = plan.entries[a].pose, plan.entries[b].pose
-        if at_same_position(first, second):
-            names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
-            yield f"{names} have the same position", not second.almost_equals(first)

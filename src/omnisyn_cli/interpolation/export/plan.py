@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, Viewer
 from omnisyn_cli.interpolation.job import TourJob
-from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
+from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.io import check_output
@@ -121,7 +121,7 @@ class ExportPlan(TourPlan):
         chosen = FORMATS[self.format]
         if self.job.clips:
             rows = min(MAX_CLIP_ROWS, max(height for height, _ in self.source_sizes))
-            return memory_of_surfaces(self, Footprint(0.0, 0.0)) + CLIP_PIXEL_BYTES * 2 * rows**2
+            return super().memory + CLIP_PIXEL_BYTES * 2 * rows**2
         if not self.has_depth:
             return int(SITE_BYTES + SITE_PIXEL_BYTES * max(height * width for height, width in self.source_sizes))
         if chosen.point == 0:
@@ -129,14 +129,14 @@ class ExportPlan(TourPlan):
         else:
             spread = POINTS_PER_VERTEX / self.stride**2
             footprint = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
-        return memory_of_surfaces(self, footprint)
+        return self.memory_estimate.of_surfaces(footprint)
 
-    def describe(self) -> dict[str, Any]:
-        """See :meth:`TourPlan.described`."""
+    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """See :meth:`TourPlan.details`."""
         settled = {
             "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
         }  # fmt: skip
-        return self.described({"format": self.format}, self.memory, settled)
+        return {"format": self.format}, settled
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _notes(plan: ExportPlan) -> Iterator[str]:
     if plan.viewer is not None:
         yield f"the viewer is not part of the site, get it: {plan.viewer.advice(plan.job.output)}"
     if plan.config.estimates_depth and plan.has_depth:
-        yield from (f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(plan))
+        yield from (f"{where}: without depth files there is none" for where, _ in plan.pairs_at_one_place())
 
 
 def default_ending(name: str | None) -> str:

@@ -175,7 +175,7 @@ def _marzipano_scene(panorama: SitePanorama, fov: float) -> dict[str, Any]:
 def _krpano(site: Site) -> str:
     """Scenes with their place in the world and a model of their depth; centimetres, x right, y down, z forward."""
     numbers = {"depth_folder": DEPTH, "scale": CENTIMETRES, "default_fov": math.radians(MARZIPANO_FOV)}
-    return _templates().get_template("krpano.xml").render(site=site, **numbers) + "\n"
+    return _templates().get_template("krpano.xml.j2").render(site=site, **numbers) + "\n"
 
 
 def _krpano_place(position: Float[np.ndarray, " 3"]) -> list[str]:

@@ -12,13 +12,7 @@ from omnisyn_cli.errors import OutputPathError, PoseError
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.configs import page_config
 from omnisyn_cli.interpolation.job import TourJob
-from omnisyn_cli.interpolation.plan import (
-    TourPlan,
-    memory_of_surfaces,
-    pairs_at_one_place,
-    plan_tour,
-    vertices_of_surface,
-)
+from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
@@ -94,11 +88,11 @@ class ViewPlan(TourPlan):
         footprint = Footprint(
             2 * held * self._pixel_bytes, 2 * held * MAP_VERTEX_BYTES, columns=self.job.options.texture
         )
-        return memory_of_surfaces(self, footprint)
+        return self.memory_estimate.of_surfaces(footprint)
 
     def sizes(self) -> list[int]:
         """Bytes of every panorama with its surface in the walk, estimated."""
-        surface = STORED_VERTEX_BYTES * vertices_of_surface(self)
+        surface = STORED_VERTEX_BYTES * self.memory_estimate.vertices
         text = 1.0 if self.job.is_folder else BASE64_RATIO
         photos = map(self._photo_bytes, self.job.images, self.source_sizes)
         return [round(text * (photo + surface)) for photo in photos]
@@ -115,12 +109,12 @@ class ViewPlan(TourPlan):
     def graphics_memory(self) -> int:
         """Bytes of a graphics processor that a screen of 1920×1080 takes at the most, estimated."""
         width = min(max(cols for _, cols in self.source_sizes), self.job.options.texture)
-        each = 4 * MIP_SHARE * width * width / 2 + GRAPHICS_VERTEX_BYTES * vertices_of_surface(self)
+        each = 4 * MIP_SHARE * width * width / 2 + GRAPHICS_VERTEX_BYTES * self.memory_estimate.vertices
         near = min(len(self.entries) * each, GRAPHICS_BUDGET_BYTES)
         return round(max(2 * each, near) + PICTURE_PIXEL_BYTES * SCREEN_PIXELS)
 
-    def describe(self) -> dict[str, Any]:
-        """See :meth:`TourPlan.described`."""
+    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """See :meth:`TourPlan.details`."""
         options, sizes = self.job.options, self.sizes()
         packing = {
             "folder": self.job.is_folder, "texture": options.texture, "lossless": options.is_lossless,
@@ -128,7 +122,7 @@ class ViewPlan(TourPlan):
             "megabytes_per_panorama": round(max(sizes) / 1e6, 2),
             "graphics_mib": round(self.graphics_memory / 2**20),
         }  # fmt: skip
-        return self.described(packing, self.memory)
+        return packing, {}
 
 
 @dataclass(frozen=True)
@@ -163,8 +157,8 @@ def plan_view(job: ViewJob) -> ViewPlan:
     tour = plan_tour(job, page_config)
     _check_linked(tour)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
-    still = pairs_at_one_place(tour)
-    notes = (*tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
+    still = (f"{where}: there is no way to walk, the page cross-fades" for where, _ in tour.pairs_at_one_place())
+    notes = (*tour.notes, *still)
     return ViewPlan(job, tour.entries, tour.source_sizes, tour.config, notes, tour.tour)
 
 
