@@ -107,12 +107,10 @@ def _load() -> Callable[..., ExportSummary]:
 
 def _said(summary: ExportSummary) -> str:
     """What was written, in one line."""
-    plan, what = summary.plan, f"{summary.points:,} points"
-    if plan.format == "glb":
-        what = f"{summary.triangles:,} triangles"
-    elif plan.format == "splats":
-        what = f"{summary.points:,} discs"
-    elif plan.format in VIEWERS:
-        what = f"{summary.links:,} link{'s' * (summary.links != 1)}"
-    count = len(plan.entries)
-    return f"{plan.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"
+    plan, made, form = summary.plan, summary.results, summary.plan.format
+    what = f"{made['points']:,} {'discs' if form == 'splats' else 'points'}"
+    if made["triangles"]:
+        what = f"{made['triangles']:,} triangles"
+    elif form in VIEWERS:
+        what = f"{made['links']:,} link{'s' * (made['links'] != 1)}"
+    return f"{plan.job.output}: {what} of {len(plan.entries)} panoramas in {summary.seconds['total']:.1f} s"

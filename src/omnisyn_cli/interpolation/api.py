@@ -81,7 +81,8 @@ def estimate_depth(
     """Inverse depth (1/metre) and confidence of both panoramas of a pair, each in its own frame.
 
     Args:
-        first, second: neighbours with their poses.
+        first: a panorama with its pose.
+        second: its neighbour.
         config: name of a preset, or a config; only its depth and device matter.
         threads: at most this many; None is one per core.
 
@@ -112,7 +113,8 @@ def make_frames(
         frames: at least one per panorama.
         config: name of a preset, or a config. A preset takes the depth of the views where all of them have some.
         size: of the frames, such as ``"2048x1024"``, or (width, height); that of the first panorama by default.
-        ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        ease: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        heading: likewise.
         estimator: finds depth in place of the config's.
         fuser: joins both renderings in place of the config's; for frames of this size.
         threads: at most this many; None is one per core.

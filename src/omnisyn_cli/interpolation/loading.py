@@ -118,12 +118,12 @@ def _find_camera_fixed(
     second: int,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """What moves with the camera in two neighbours, ``still`` that in all panoramas."""
-    views = [
-        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
-    ]
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
-    return find_camera_fixed(views[0], views[1], still())
+    views = (
+        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
+    )
+    return find_camera_fixed(*views, still())
 
 
 def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:

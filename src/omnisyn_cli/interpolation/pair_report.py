@@ -53,9 +53,7 @@ def write_pair_report(job: TourJob) -> TourPlan:
 
 def _described(plan: TourPlan, pair: PairSurfaces, diagnosis: PairDiagnosis) -> dict[str, Any]:
     """What the page shows of a pair."""
-    views = [surface.view for surface in pair.surfaces]
-    kinds = _kinds(diagnosis)
-    matched = (diagnosis.matches.first, diagnosis.matches.second)
+    kinds, matched = _kinds(diagnosis), (diagnosis.matches.first, diagnosis.matches.second)
     first, second = pair.surfaces
     height = height_in_depth((first.view.pose, second.view.pose), (first.depth, second.depth))
     summary = TourSummary(plan, pairs={pair.index: pair.cross_check.confidence})
@@ -71,10 +69,10 @@ def _described(plan: TourPlan, pair: PairSurfaces, diagnosis: PairDiagnosis) -> 
                 "name": plan.job.images[surface.index].name,
                 "photograph": _jpeg(surface.samples(PICTURE_COLUMNS)),
                 "marks": [(*place, kind) for place, kind in zip(_places(directions), kinds, strict=True)],
-                "epipoles": _epipoles(surface.view, other),
+                "epipoles": _epipoles(surface.view, other.view),
                 **_depth(surface),
             }
-            for surface, directions, other in zip(pair.surfaces, matched, views[::-1], strict=True)
+            for surface, directions, other in zip(pair.surfaces, matched, pair.surfaces[::-1], strict=True)
         ],
     }
 

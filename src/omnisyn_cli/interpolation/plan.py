@@ -34,11 +34,8 @@ from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, pla
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
 
-FLAT_SIZE = (1080, 1920)
-"""Height and width of a flat video unless the user says otherwise."""
-
-DEFAULT_FOV = math.radians(90.0)
-"""Of a flat video."""
+FLAT_SIZE, DEFAULT_FOV = (1080, 1920), math.radians(90.0)
+"""Of a flat video, unless the user says otherwise: height and width, and the angle that its width spans."""
 
 MAX_PLAUSIBLE_BASELINE_METRES = 100.0
 """Farther apart, panoramas have nothing in common: more is worth a note."""
@@ -49,18 +46,12 @@ LIKELY_SIZE = (512, 1024)
 MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
-
-READING_SHARE = 2
-"""Rows of a panorama for each row of a frame that are read: a frame near a surface magnifies it."""
-
-MIN_READING_ROWS = 2048
-"""Rows to which panoramas are reduced at the most: depth of more is not more accurate."""
+READING_SHARE, MIN_READING_ROWS, MIN_REDUCTION = 2, 2048, 1.25
+"""Rows of a panorama for each row of a frame that are read, as a frame near a surface magnifies it. Rows to which they
+are reduced at the most: depth of more is not more accurate. Factor below which a panorama is read as it is."""
 
 MAX_KEPT_NEIGHBOURS = 3
 """Of a panorama at a crossing, besides the pair at work; others are read again."""
-
-MIN_REDUCTION = 1.25
-"""Factor below which a panorama is read as it is."""
 
 CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}
 """As people write them."""
@@ -119,16 +110,12 @@ class TourPlan:
         return sum(count > 1 for count in counts.values()) if self.looks_ahead else 0
 
     @property
-    def surface_sizes(self) -> list[tuple[int, int]]:
-        """Height and width of surfaces, from coarse to fine."""
-        files = [entry.depth for entry in self.entries if entry.depth is not None]
-        depth = self.config.depth
-        return depth.strategy.grid_sizes(depth, max(height for height, _ in self.source_sizes), files)
-
-    @property
     def memory_estimate(self) -> MemoryEstimate:
         """What memory is estimated from."""
-        return MemoryEstimate(self.job, self.config, self.source_sizes, self.surface_sizes, self.looks_ahead)
+        files = [entry.depth for entry in self.entries if entry.depth is not None]
+        depth, rows = self.config.depth, max(height for height, _ in self.source_sizes)
+        surfaces = depth.strategy.grid_sizes(depth, rows, files)
+        return MemoryEstimate(self.job, self.config, self.source_sizes, surfaces, self.looks_ahead)
 
     @property
     def memory(self) -> int:
@@ -148,11 +135,7 @@ class TourPlan:
         return f"{self.job.output.name} of {len(self.entries)} panoramas"
 
     def in_words(self, values: Mapping[str, Any]) -> str:
-        """What is made, how long that takes and how much memory, in one line for people.
-
-        Args:
-            values: those of :meth:`describe`, with ``expected_words`` where the time is known.
-        """
+        """The values of :meth:`describe`, with ``expected_words`` where the time is known, in one line for people."""
         memory = f"{values['memory_mib'] * 2**20 / 1e9:.1f} GB of memory"
         return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory)))
 
@@ -287,9 +270,7 @@ def plan_tour(
 ) -> TourPlan:
     """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
 
-    Args:
-        job: what is asked for.
-        config_of: what surfaces and frames are made with, given the pose file's entry of every panorama.
+    ``config_of`` says what they are made with, given the pose file's entry of every panorama.
 
     Raises InputError: a file is missing, poses do not fit, an option makes no sense.
     """
@@ -310,15 +291,11 @@ def plan_tour(
     for picture in (*tour.hotspot_pictures, *([] if tour.plan is None else [tour.plan.image])):
         read_header(picture)  # before depth is found, which takes long
     plan = TourPlan(job, entries, source_sizes, config, (), tour)
-    about_places, about_depth = _notes_about_baselines(plan), _notes_about_depth(job, entries, config)
-    return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *about_places, *about_depth))
+    return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *_notes_about_places_and_depth(plan)))
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
-    """The plan with another preset; its poses are not looked for again.
-
-    Raises InputError: the preset's network is not installed.
-    """
+    """The plan with another preset, whose networks are there (InputError); its poses are not looked for again."""
     job = replace(plan.job, preset=preset)
     config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
     return replace(plan, job=job, config=config)
@@ -376,10 +353,7 @@ def _check_pose_options(job: TourJob) -> None:
 
 
 def frame_count(job: InterpolationJob) -> int:
-    """Frames of the video.
-
-    Raises InputError: fewer than there are panoramas, more than anybody wants, or said twice.
-    """
+    """Frames of the video. InputError: fewer than there are panoramas, more than anybody wants, or said twice."""
     if job.frames is not None and job.duration is not None:
         raise InputError(
             f"expected either frames or a duration, got {job.frames} frames and {job.duration:g} s; name one, and the "
@@ -407,13 +381,6 @@ def _encoder(job: InterpolationJob) -> str:
     crf = codec.crf if job.crf is None else job.crf
     quality = "" if crf is None else f" crf {crf:g}"
     return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
-
-
-def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], config: RunConfig) -> Iterator[str]:
-    named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
-    if config.estimates_depth and job.depth == "auto" and named:
-        why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
-        yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
 
 def _notes_about_size(
@@ -444,12 +411,17 @@ def _notes_about_pictures(job: TourJob) -> Iterator[str]:
         yield f"{listed(several)}: holds several pictures or is animated; the first picture is taken"
 
 
-def _notes_about_baselines(plan: TourPlan) -> Iterator[str]:
+def _notes_about_places_and_depth(plan: TourPlan) -> Iterator[str]:
+    images, entries = plan.job.images, plan.entries
     for a, b in plan.pairs:
-        metres = math.dist(plan.entries[a].pose.position, plan.entries[b].pose.position)
+        metres = math.dist(entries[a].pose.position, entries[b].pose.position)
         if metres > MAX_PLAUSIBLE_BASELINE_METRES:
-            names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
+            names = f"{images[a].name} and {images[b].name}"
             yield f"{names} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
+    named = [image.name for image, entry in zip(images, entries, strict=True) if entry.depth is not None]
+    if plan.config.estimates_depth and plan.job.depth == "auto" and named:
+        why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
+        yield f"{plan.job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
 
 def _notes_about_video(tour: TourPlan, config: RunConfig) -> Iterator[str]:

@@ -22,7 +22,7 @@ from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.summary import Summary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import pair_surfaces
-from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
+from omnisyn_cli.interpolation.viewer.contents import TourPacker
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.io import FrameSink, open_video, read_panorama, write_depth
 from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
@@ -133,7 +133,7 @@ def run_interpolation(
                 for sink in sinks:
                     sink.finish()
     keeper.write_viewer()
-    return replace(summary, seconds=clock.with_total())
+    return replace(summary, seconds=clock.with_total(), results=summary.modelled())
 
 
 def _infinitely_far(depth: DepthEstimate) -> float:
@@ -146,9 +146,9 @@ class _PairKeeper:
     """Keeps what there is to know about each pair: its depth as files, a walk, figures for the summary."""
 
     def __init__(self, summary: Summary, loader: Loader, depth_folder: Path | None, clock: Stopwatch) -> None:
-        self._plan, self._summary, self._made = summary.plan, summary, summary.made
-        self._loader, self._depth_folder, self._clock = loader, depth_folder, clock
-        self._packer = None if self._plan.job.view is None else TourPacker(self._plan, ViewOptions())
+        self._plan, self._summary, self._clock = summary.plan, summary, clock
+        self._loader, self._depth_folder = loader, depth_folder
+        self._packer = None if self._plan.job.view is None else TourPacker(self._plan)
         self._current: SurfacePair | None = None
 
     def __call__(self, index: int, pair: Pair) -> None:
@@ -160,11 +160,11 @@ class _PairKeeper:
         if pair.prepared.is_soft:
             self._summary.soft_pairs.append(index)
         if pair.prepared.triangles is not None:
-            self._made.triangles[index] = pair.prepared.triangles
-        self._made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
+            self._summary.triangles[index] = pair.prepared.triangles
+        self._summary.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         first, second = (entry.pose for entry in self._plan.entries[index : index + 2])
         if (height := height_in_depth((first, second), pair.depths)) is not None:
-            self._made.camera_heights[index] = height
+            self._summary.camera_heights[index] = height
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.cross_check)
         self._loader.release_floats(index)
@@ -181,7 +181,7 @@ class _PairKeeper:
     def count(self, frame: Frame) -> None:
         """Look at a frame."""
         is_photograph = frame.waypoint.t in (0.0, 1.0)
-        self._made.frames[
+        self._summary.frames[
             "photographs" if is_photograph else "shown_again" if frame.is_shown_again else "rendered"
         ] += 1
 
@@ -208,4 +208,4 @@ class _PairKeeper:
         """The page, if one is asked for."""
         if self._packer is not None and self._plan.job.view is not None:
             with self._clock("walk"):
-                write_page(self._plan.job.view, self._packer.packed())
+                write_page(self._plan.job.view, self._packer.manifest(), self._packer.blocks.contents)

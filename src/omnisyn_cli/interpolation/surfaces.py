@@ -118,34 +118,27 @@ def tour_surfaces(
 def pair_surfaces(
     plan: TourPlan, index: int, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
 ) -> PairSurfaces:
-    """The surfaces of a pair whose depth is known.
-
-    Args:
-        plan: of the tour; its config says where surfaces are cut, and whether they may be soft.
-        index: of the pair.
-        views: both.
-        depths: of both.
-        check: what they say of each other.
-    """
+    """The surfaces of a pair whose depth is known; the plan's config says where they are cut, and whether softly."""
     cut, softens = Cut(plan.config.cut, plan.config.cut_metres), plan.config.fallback == "soft"
     views, depths, cut, is_soft = drawn_surfaces(views, depths, check, cut, softens=softens)
-    first, second = (_meshed(plan.pairs[index][k], views[k], depths[k], cut) for k in (0, 1))
+    first, second = (
+        PanoramaSurface(place, view, depth, mesh_of(view, depth, depth.inverse_depth, cut))
+        for place, view, depth in zip(plan.pairs[index], views, depths, strict=True)
+    )
     return PairSurfaces(index, (first, second), check, is_soft)
 
 
-def _meshed(index: int, view: View, depth: DepthEstimate, cut: Cut) -> PanoramaSurface:
-    mask = mask_of_vertices(view.mask, depth.inverse_depth.shape)
-    return PanoramaSurface(index, view, depth, build_mesh(depth.inverse_depth, cut, mask, depth.confidence))
+def mesh_of(view: View, depth: DepthEstimate, inverse_depth: Float[np.ndarray, "rows cols"], cut: Cut) -> Mesh:
+    """A mesh of inverse depth (1/metre) with the view's mask and the confidence of its depth."""
+    mask = mask_of_vertices(view.mask, inverse_depth.shape)
+    return build_mesh(inverse_depth, cut, mask, depth.confidence)
 
 
 def panorama_surfaces(pairs: Iterator[PairSurfaces]) -> Iterator[PanoramaSurface]:
-    """One surface of every panorama, in order, as soon as all its pairs are there.
+    """One surface of every panorama, in order, as soon as all its pairs (:func:`tour_surfaces`) are there.
 
     Both pairs of one inside a chain have the same, but for a pair at one place, which has next to nothing: the one of
     more vertices is taken.
-
-    Args:
-        pairs: from :func:`tour_surfaces`.
     """
     every = chain.from_iterable(pair.surfaces for pair in pairs)
     for _, found in groupby(every, key=lambda surface: surface.index):

@@ -23,7 +23,7 @@ POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
 """Of a point that is kept, and points for each vertex: they lie as dense everywhere, vertices denser at the poles."""
 
 PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
-"""Bytes of a point and of a disc in a file."""
+"""Of a point and of a disc in a file."""
 
 SITE_BYTES, SITE_PIXEL_BYTES, CLIP_PIXEL_BYTES = 290e6, 54, 190
 """Of a site without depth: the program, each pixel of a panorama that is read and made level, and each pixel of a clip
@@ -141,34 +141,19 @@ class ExportPlan(TourPlan):
 
 @dataclass(frozen=True)
 class ExportSummary(TourSummary):
-    """What was done.
-
-    Attributes:
-        points: that were written: of a cloud or a data set.
-        triangles: of a mesh.
-        links: between the panoramas of a site.
-    """
+    """What was done; results are ``points`` of a cloud or a data set, ``triangles`` of a mesh, ``links`` of a site."""
 
     plan: ExportPlan
-    points: int = 0
-    triangles: int = 0
-    links: int = 0
 
     advice: ClassVar[str] = "name depth files in the poses"
     last_remedy: ClassVar[str] = "depth files in the poses"
-
-    @property
-    def results(self) -> dict[str, Any]:
-        """How much was written."""
-        return {"points": self.points, "triangles": self.triangles, "links": self.links}
 
 
 def plan_export(job: ExportJob) -> ExportPlan:
     """Check a job without writing anything.
 
-    Raises:
-        InputError: a file is missing, poses do not fit, an option makes no sense.
-        OutputPathError: the output exists, cannot be written, or its ending says nothing of the format.
+    Raises InputError: a file is missing, poses do not fit, an option makes no sense; OutputPathError: the output
+    exists, cannot be written, or its ending says nothing of the format.
     """
     name, output = _format_of(job), job.output
     chosen = FORMATS[name]

@@ -26,7 +26,6 @@ MIN_COSINE = 0.25
 """Between a surface's normal and the line of sight: what is seen at a smaller angle gets no longer discs."""
 
 DISC_OPACITY = 0.99
-
 ZEROTH_HARMONIC = 0.28209479177387814
 """The constant spherical harmonic, √(1/4π): colours are stored as what lies above one half, divided by it."""
 
@@ -66,13 +65,9 @@ def points_of(
 ) -> Points:  # fmt: skip
     """Points of a panorama, as dense on the sphere everywhere: fewer columns towards the poles.
 
-    Args:
-        mesh: the surface; what is infinitely far, or has no surface, is left out.
-        confidence: of its size.
-        picture: the panorama, of any size.
-        pose: of the panorama in the world of the points.
-        stride: pixels of the mesh between points.
-        farthest: points from this distance on, in metres, are left out.
+    The confidence has the mesh's size, the picture any; the pose is that of the panorama in the world of the points.
+    Points are ``stride`` pixels of the mesh apart. What is infinitely far, ``farthest`` metres or more away, or without
+    a surface, is left out.
     """
     height, width = mesh.size
     row, col = _places(height, width, stride)

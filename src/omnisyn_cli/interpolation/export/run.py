@@ -11,7 +11,6 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import datasets
-from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.plan import FORMATS, MAX_CLIP_ROWS, ExportPlan, ExportSummary
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
@@ -32,7 +31,7 @@ from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.interpolation.loading import Loader
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
+from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, mesh_of, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.ffmpeg_process import read_frames
@@ -41,7 +40,7 @@ from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, rep
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.poses.formats import foreign_from_pose
-from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.render.mesh import Cut, Mesh
 from omnisyn_cli.types import DepthEstimator, View
 
 DOME_STEP_SHARE = 0.01
@@ -75,7 +74,8 @@ def run_export(
     writers = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud, **dict.fromkeys(VIEWERS, _write_site)}
     pairs = tour_surfaces(plan, summary, estimator=estimator, clock=clock)
     made = writers.get(plan.format, _write_dataset)(plan, pairs, clock, on_panorama or (lambda done: None))
-    return replace(summary, seconds=clock.with_total(), **made)
+    results = {"points": 0, "triangles": 0, "links": 0, **made}
+    return replace(summary, seconds=clock.with_total(), results=results)
 
 
 def _counted(pairs: Iterator[PairSurfaces], count: Callable[[int], None]) -> Iterator[PanoramaSurface]:
@@ -87,7 +87,7 @@ def _counted(pairs: Iterator[PairSurfaces], count: Callable[[int], None]) -> Ite
 
 def _write_model(
     plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, Any]:
+) -> dict[str, int]:
     from omnisyn_cli import __version__
 
     model, triangles = GltfModel(f"omnisyn {__version__}"), 0
@@ -109,7 +109,7 @@ def _write_model(
 
 def _write_cloud(
     plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, Any]:
+) -> dict[str, int]:
     parts = []
     for surface in _counted(pairs, count):
         with clock("export"):
@@ -127,7 +127,7 @@ def _write_cloud(
 
 def _write_dataset(
     plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, Any]:
+) -> dict[str, int]:
     job, is_colmap = plan.job, plan.format == "colmap"
     poses: dict[str, Pose] = {}
     sizes: dict[str, tuple[int, int]] = {}
@@ -136,14 +136,13 @@ def _write_dataset(
     with replaced_folder(job.output, former, overwrite=job.overwrite) as staged:
         for surface in _counted(pairs, count):
             with clock("export"):
-                name, pose = datasets.safe_name(surface.index, job.images[surface.index]), surface.view.pose
-                view = DatasetView(name, pose, surface.samples(), surface.mesh.inverse_depth, surface.view.mask)
-                poses[name], sizes[name] = pose, view.size
+                name, view = datasets.safe_name(surface.index, job.images[surface.index]), surface.view
+                poses[name], sizes[name] = view.pose, (view.image.shape[0], view.image.shape[1])
                 parts.append(_points(plan, surface))
                 if is_colmap:
-                    datasets.write_colmap_view(staged, view, side)
+                    datasets.write_colmap_view(staged, name, surface, side)
                 else:
-                    datasets.write_nerfstudio_view(staged, view)
+                    datasets.write_nerfstudio_view(staged, name, surface)
         with clock("write"):
             points = joined(parts)
             if is_colmap:
@@ -164,10 +163,8 @@ def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
 
 def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
     """The surface with everything beyond a distance at that distance."""
-    config, depth = plan.config, surface.depth
-    rho = np.maximum(depth.inverse_depth, np.float32(1.0 / radius))
-    cut, mask = Cut(config.cut, config.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
-    return build_mesh(rho, cut, mask, depth.confidence)
+    rho = np.maximum(surface.depth.inverse_depth, np.float32(1.0 / radius))
+    return mesh_of(surface.view, surface.depth, rho, Cut(plan.config.cut, plan.config.cut_metres))
 
 
 def _nothing(plan: ExportPlan) -> str:
@@ -179,7 +176,7 @@ def _nothing(plan: ExportPlan) -> str:
 
 def _write_site(
     plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, Any]:
+) -> dict[str, int]:
     tour, job, images = plan.tour, plan.job, hotspot_pictures(plan.tour)
     site = site_of(tour, has_clips=job.clips)
     panoramas = {said.image: panorama for said, panorama in zip(tour.panoramas, site.panoramas, strict=True)}

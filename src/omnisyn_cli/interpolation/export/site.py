@@ -93,11 +93,8 @@ class SitePanorama:
 class Site:
     """All that a viewer is told.
 
-    Attributes:
-        title: of the tour.
-        panoramas: in the order of the tour.
-        start: identity of the first one.
-        fov: radians that are seen from top to bottom at the start; None leaves it to the viewer.
+    It begins at the panorama of the identity ``start``, and shows ``fov`` radians from top to bottom there; None leaves
+    that to the viewer.
     """
 
     title: str
@@ -190,10 +187,8 @@ def depth_model(
 ) -> tuple[Float[np.ndarray, "vertices 3"], np.ndarray]:
     """The surface of a levelled panorama as vertices in our axes, metres, and triangles ``(count, 3)``.
 
-    Args:
-        inverse_depth: 1/metre in the frame of the camera; negative where it is not known.
-        rotation: world-from-camera.
-        farthest: metres beyond which, and where nothing is known, the surface is a sphere.
+    Inverse depth is 1/metre in the frame of the camera, negative where it is not known; ``rotation`` is
+    world-from-camera. From ``farthest`` metres on, and where nothing is known, the surface is a sphere.
     """
     azimuth = math.radians(360.0) * (np.arange(DEPTH_COLS) / DEPTH_COLS - 0.5)
     polar_angle = math.radians(180.0) * np.arange(DEPTH_ROWS + 1) / DEPTH_ROWS

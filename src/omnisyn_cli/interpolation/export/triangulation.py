@@ -56,12 +56,9 @@ class TexturedMesh:
 
 
 def textured_mesh(mesh: Mesh, texture_height: int, threads: int | None = None) -> TexturedMesh:
-    """The triangles of a mesh none of whose vertices is infinitely far.
+    """The triangles of a mesh, in the frame of the panorama, none of whose vertices is infinitely far.
 
-    Args:
-        mesh: in the frame of the panorama.
-        texture_height: rows of the texture that will be put on it.
-        threads: at most this many.
+    ``texture_height`` are the rows of the texture that will be put on it.
     """
     shift = SHIFT * mesh.size[0] / texture_height  # in pixels of the mesh
     angle = shift * float(pixel_to_angles(1.0, 0.0, mesh.size)[1] - pixel_to_angles(0.0, 0.0, mesh.size)[1])

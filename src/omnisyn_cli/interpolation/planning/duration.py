@@ -28,14 +28,9 @@ from omnisyn_cli.pipeline.presets import SCALE
 TABLE_NAME = "pareto.json"
 """Figures of speed that come with the program."""
 
-THREAD_SCALING_EXPONENT = 0.75
-"""A guess: n threads do as much as n to this power."""
-
-SPREAD = 2.0
-"""Factor between what is expected and its bounds. Set by hand."""
-
-PROBE_REPEATS = 4
-"""Of the probe of speed; the fastest counts, as others may disturb it. Set by hand."""
+THREAD_SCALING_EXPONENT, SPREAD, PROBE_REPEATS = 0.75, 2.0, 4
+"""Set by hand: n threads do as much as n to this power; factor between what is expected and its bounds; tries of the
+probe, the fastest of which counts, as others may disturb it."""
 
 
 @dataclass(frozen=True)
@@ -129,13 +124,9 @@ def _seconds_per_frame(sizes: Sequence[Figures], pixels: int) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """A preset for a job.
+    """A preset for a job that may take ``budget`` seconds, and what is expected of each preset that was measured.
 
-    Attributes:
-        preset: its name.
-        expected: what the job is expected to take with each preset that was measured.
-        budget: seconds that it may take.
-        more: what the preset of the best picture gains, and how sure that is, in words; or nothing.
+    ``more`` says what the preset of the best picture gains, and how sure that is; or nothing.
     """
 
     preset: str
@@ -207,11 +198,8 @@ def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: flo
     InputError: no preset of this version was measured.
     """
     measured = {name: found for name in SCALE if (found := _scored(table, name)) is not None}
-    expected = {
-        name: duration
-        for name in measured
-        if (duration := expected_duration(with_preset(plan, name), table)) is not None
-    }
+    durations = {name: expected_duration(with_preset(plan, name), table) for name in measured}
+    expected = {name: duration for name, duration in durations.items() if duration is not None}
     if not expected:
         raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")
     fitting = [name for name, duration in expected.items() if duration.seconds <= budget]

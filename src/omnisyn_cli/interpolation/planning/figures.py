@@ -96,7 +96,7 @@ FIGURES = TypeAdapter(Figures)
 
 
 def gain(figures: Figures, other: Figures) -> tuple[float, float]:
-    """Mean and standard error, in dB, of how much better one is on pairs that both have; NaN where there are too few."""
+    """Mean and standard error, in dB, of how much better one is on pairs that both have; NaN without enough of them."""
     gains = [score - other.scores[pair] for pair, score in figures.scores.items() if pair in other.scores]
     error = stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else math.nan
     return (fmean(gains) if gains else math.nan), error

@@ -22,7 +22,6 @@ CONFIDENCE_BYTES = 12
 MIP_LEVEL_SHARE = 4 / 3
 """Pixels of a texture with its mip levels, in those of the picture."""
 
-
 FLOAT_PIXEL_BYTES = 12
 """Bytes of each pixel of a panorama as numbers, which depth is found in."""
 
@@ -54,17 +53,13 @@ class Footprint:
 
 @dataclass(frozen=True)
 class MemoryEstimate:
-    """What memory is estimated from: the most of what is held at a peak.
+    """What memory is estimated from: the most of what is held at a peak. ImageError: a panorama is unreadable.
 
     Attributes:
-        job: what is asked for.
-        config: what surfaces and frames are made with.
         sources: height and width of the panoramas.
         depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
             to their size by :mod:`omnisyn_cli.stereo.refined_estimator`.
         looks_ahead: whether the next pair is compared as well.
-
-    Raises ImageError: a panorama is missing or unreadable.
     """
 
     job: TourJob
