@@ -20,11 +20,11 @@ from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
-from omnisyn_cli.interpolation.viewer import ViewJob, contents, plan_view
-from omnisyn_cli.interpolation.viewer.contents import TourPacker
-from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
+from omnisyn_cli.interpolation.viewer import contents
+from omnisyn_cli.interpolation.viewer.contents import CORRECTION_SCALE, NO_CORRECTION, TourPacker, correction_of
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.scenes import generate_scene, sample_path

@@ -13,9 +13,9 @@ import pytest
 from interpolation_samples import CHAIN, edit_poses, listing, tour_job
 from omnisyn_cli.errors import InputError, OutputPathError, PoseError
 from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.interpolation.viewer import ViewJob, plan_view, run_view
 from omnisyn_cli.interpolation.viewer import run as walk_run
 from omnisyn_cli.interpolation.viewer.contents import _gains
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 from omnisyn_cli.io import write_image
 from synthesis_samples import posed, write_hall
 from viewer.browser import serving

@@ -8,26 +8,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import (
-    check_one_cut,
-    json_option,
-    named,
-    quiet_option,
-    surface_options,
-    tour_options,
-)
+from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation.export import ExportSummary
+    from omnisyn_cli.interpolation.export.plan import ExportSummary
 
 VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")
 """Those of sites."""
 
 FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
-"""Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
+"""Those of :data:`omnisyn_cli.interpolation.export.plan.FORMATS`, written out as ``--help`` should not load them."""
 
 
 @click.command(cls=SectionedCommand)
@@ -91,7 +84,7 @@ def export(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export
+    from omnisyn_cli.interpolation.export.plan import ExportJob, default_ending, plan_export
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
@@ -100,7 +93,7 @@ def export(
 
 
 def _load() -> Callable[..., ExportSummary]:
-    from omnisyn_cli.interpolation.export import run_export
+    from omnisyn_cli.interpolation.export.run import run_export
 
     return run_export
 

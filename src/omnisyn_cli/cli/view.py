@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import (
-    check_one_cut,
-    json_option,
-    named,
-    quiet_option,
-    surface_options,
-    tour_options,
-)
+from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -78,7 +71,7 @@ def view(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.viewer import ViewJob, plan_view
+    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 
     check_one_cut(options)
     if serve and not folder:
@@ -97,7 +90,7 @@ def view(
 
 
 def _load() -> Callable[..., TourSummary]:
-    from omnisyn_cli.interpolation.viewer import run_view
+    from omnisyn_cli.interpolation.viewer.run import run_view
 
     return run_view
 
@@ -111,7 +104,7 @@ def _said(summary: TourSummary) -> str:
 
 def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
     """Serve a folder until somebody ends it."""
-    from omnisyn_cli.interpolation.viewer import served
+    from omnisyn_cli.interpolation.viewer.serve import served
 
     with served(folder) as (address, server):
         if not is_quiet:

@@ -6,15 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import (
-    CHOICES,
-    OUTPUTS,
-    InterpolationJob,
-    TourJob,
-    depth_files,
-    reading_of,
-    targets,
-)
+from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob, TourJob, depth_files, reading_of, targets
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size

@@ -16,14 +16,10 @@ from omnisyn_cli.poses.tour_file import TOUR_NAME, read_tour
 
 @dataclass(frozen=True)
 class NamedTour:
-    """Panoramas in walking order, as they were named.
+    """Panoramas in walking order, as they were named, with their pose file (or ``POSES_FROM_PICTURES``).
 
-    Attributes:
-        images: the panoramas.
-        poses: their pose file, or :data:`omnisyn_cli.interpolation.job.POSES_FROM_PICTURES`.
-        name: of the folder that was named, else ``first-last``.
-        tour: the folder's ``tour.json``, or the one beside the first panorama; None where there is none.
-        is_chain: whether panoramas were named one by one, so that each leads to the next one.
+    The name is that of the folder that was named, else ``first-last``; ``tour`` is the ``tour.json`` in that folder, or
+    beside the first panorama. They are a chain, each of which leads to the next one, where they were named one by one.
     """
 
     images: tuple[Path, ...]

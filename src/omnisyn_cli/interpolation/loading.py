@@ -120,10 +120,8 @@ def _find_camera_fixed(
     """What moves with the camera in two neighbours, ``still`` that in all panoramas."""
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
-    views = (
-        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
-    )
-    return find_camera_fixed(*views, still())
+    a, b = (View(panorama_of(k).image(), plan.entries[k].pose, companions_of(k)[0]) for k in (first, second))
+    return find_camera_fixed(a, b, still())
 
 
 def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:

@@ -53,7 +53,9 @@ def write_pair_report(job: TourJob) -> TourPlan:
 
 def _described(plan: TourPlan, pair: PairSurfaces, diagnosis: PairDiagnosis) -> dict[str, Any]:
     """What the page shows of a pair."""
-    kinds, matched = _kinds(diagnosis), (diagnosis.matches.first, diagnosis.matches.second)
+    estimate, matched = diagnosis.diagnosis.estimate, (diagnosis.matches.first, diagnosis.matches.second)
+    agrees = np.zeros(len(diagnosis.matches), bool) if estimate is None else estimate.inliers
+    kinds = np.select([diagnosis.fits, agrees], ["fits", "contradicts"], "mismatch").tolist()
     first, second = pair.surfaces
     height = height_in_depth((first.view.pose, second.view.pose), (first.depth, second.depth))
     summary = TourSummary(plan, pairs={pair.index: pair.cross_check.confidence})
@@ -75,13 +77,6 @@ def _described(plan: TourPlan, pair: PairSurfaces, diagnosis: PairDiagnosis) -> 
             for surface, directions, other in zip(pair.surfaces, matched, pair.surfaces[::-1], strict=True)
         ],
     }
-
-
-def _kinds(diagnosis: PairDiagnosis) -> list[str]:
-    """What each match agrees with, as a class of the page."""
-    estimate = diagnosis.diagnosis.estimate
-    agrees = np.zeros(len(diagnosis.matches), bool) if estimate is None else estimate.inliers
-    return [str(kind) for kind in np.select([diagnosis.fits, agrees], ["fits", "contradicts"], "mismatch")]
 
 
 def _places(directions: Float[np.ndarray, "n 3"]) -> Iterator[tuple[float, float]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
@@ -117,11 +117,6 @@ class TourPlan:
         surfaces = depth.strategy.grid_sizes(depth, rows, files)
         return MemoryEstimate(self.job, self.config, self.source_sizes, surfaces, self.looks_ahead)
 
-    @property
-    def memory(self) -> int:
-        """Bytes that it will take, estimated; of surfaces alone unless something is made of them."""
-        return self.memory_estimate.of_surfaces(Footprint())
-
     def pairs_at_one_place(self) -> Iterator[tuple[str, bool]]:
         """For neighbours without a way between them words that say so, and whether they are turned to each other."""
         for a, b in self.pairs:
@@ -139,13 +134,13 @@ class TourPlan:
         memory = f"{values['memory_mib'] * 2**20 / 1e9:.1f} GB of memory"
         return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory)))
 
-    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What :meth:`describe` says of the thing that is made: before how depth is found, and after it."""
-        return {}, {}
+    def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
+        """What :meth:`describe` says of the thing that is made: before how depth is found, after it, and its memory."""
+        return {}, {}, self.memory_estimate.of_surfaces(Footprint())
 
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
-        config, (before, after) = self.config, self.details()
+        config, (before, after, memory) = self.config, self.details()
         is_own = config.draws_surfaces
         return {
             "inputs": [str(image) for image in self.job.images],
@@ -156,7 +151,7 @@ class TourPlan:
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
             "joined_depths": self.fused_depths,
             **after,
-            "memory_mib": round(self.memory / 2**20),
+            "memory_mib": round(memory / 2**20),
             "notes": list(self.notes),
         }
 
@@ -168,21 +163,18 @@ class InterpolationPlan(TourPlan):
     Attributes:
         size: (height, width) of the video, or of what one eye sees.
         path: a waypoint for every frame.
+        memory: bytes that the pictures and buffers will take, estimated.
     """
 
     job: InterpolationJob
     size: tuple[int, int]
     path: tuple[Waypoint, ...]
+    memory: int = 0
 
     @property
     def length(self) -> float:
         """Metres from the first panorama to the last."""
         return path_length([entry.pose for entry in self.entries])
-
-    @property
-    def memory(self) -> int:
-        """Bytes that the pictures and buffers will take, estimated."""
-        return self.memory_estimate.of_frames(self.job, self.size)
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -197,7 +189,11 @@ class InterpolationPlan(TourPlan):
         codec = CODEC_NAMES[self.job.codec or "h264"]
         return f"{frames / self.job.fps:.3g} s of {width}x{height} {codec}, {frames} frames"
 
-    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def with_memory(self) -> Self:
+        """With its memory estimated."""
+        return replace(self, memory=self.memory_estimate.of_frames(self.job, self.size))
+
+    def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
         """See :meth:`TourPlan.details`."""
         (height, width), config, job = self.frame_size, self.config, self.job
         is_own = config.draws_surfaces
@@ -210,7 +206,7 @@ class InterpolationPlan(TourPlan):
             "fusion": config.fusion if is_own else "",
             "view": "" if job.view is None else str(job.view), "path_metres": round(self.length, 4),
         }  # fmt: skip
-        return video, drawn
+        return video, drawn, self.memory
 
 
 def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
@@ -241,9 +237,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         path = look_along(path, poses[0], job.look or LOOK_AHEAD)
     return InterpolationPlan(
         job, entries, sources, config,
-        (*tour.notes, *_notes_about_video(tour, config), *_notes_about_size(job, tour.source_sizes, sources)),
+        (*tour.notes, *_notes_about_video(tour, config, job, sources)),
         tour.tour, size, path,
-    )  # fmt: skip
+    ).with_memory()  # fmt: skip
 
 
 def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -298,7 +294,7 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     """The plan with another preset, whose networks are there (InputError); its poses are not looked for again."""
     job = replace(plan.job, preset=preset)
     config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
-    return replace(plan, job=job, config=config)
+    return replace(plan, job=job, config=config).with_memory()
 
 
 def _installed(config: RunConfig) -> RunConfig:
@@ -324,17 +320,18 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     if not is_found:
         given = read_poses(job.poses, allow_outside=job.allow_outside)
         refined = refine_poses(job.images, given, options)
-        remarks = (*notes_of_place(job.images, job.poses), *refined.notes)
-        return job, replace(given, panoramas=refined.panoramas), remarks
+        notes = (*notes_of_place(job.images, job.poses), *refined.notes)
+        return job, replace(given, panoramas=refined.panoramas), notes
     found = estimate_poses(
         job.images, () if job.baseline is None else (job.baseline,), options,
         camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
     )  # fmt: skip
-    order = [job.images.index(image) for image in found.order]
-    job = replace(
-        job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
+    masks = tuple(job.masks[job.images.index(image)] for image in found.order if job.masks)
+    return (
+        replace(job, images=tuple(found.order), masks=masks),
+        PoseFile(job.poses, found.panoramas, found.links),
+        found.notes,
     )
-    return job, PoseFile(job.poses, found.panoramas, found.links), found.notes
 
 
 def _check_pose_options(job: TourJob) -> None:
@@ -383,27 +380,9 @@ def _encoder(job: InterpolationJob) -> str:
     return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
 
 
-def _notes_about_size(
-    job: InterpolationJob, sources: Sequence[tuple[int, int]], read: Sequence[tuple[int, int]]
-) -> Iterator[str]:
-    (rows, columns), (height, width) = max(sources), default_size(job, sources)
-    if job.size is None and job.projection != "flat" and height < rows:
-        codec = CODEC_NAMES[job.codec or "h264"]
-        more = " or --codec h265" if codec == "H.264" else ""
-        yield (
-            f"the video is {width}x{height}, the panoramas are {columns}x{rows}: few players show larger {codec}; ask "
-            f"for more with --size{more}"
-        )
-    reduced = [(image, size) for image, old, size in zip(job.images, sources, read, strict=True) if size != old]
-    if reduced:
-        (image, (height, width)), more = reduced[0], f" and {len(reduced) - 1} more" if len(reduced) > 1 else ""
-        yield f"{image.name}{more}: read at {width}x{height}, frames of this size show no more"
-
-
 def _notes_about_pictures(job: TourJob) -> Iterator[str]:
     headers, reading = [read_header(image) for image in job.images], reading_of(job)
-    squeezed = [h.path.name for h in headers if not job.allow_aspect and is_squeezed(placement_of(h, reading))]
-    if squeezed:
+    if squeezed := [h.path.name for h in headers if not job.allow_aspect and is_squeezed(placement_of(h, reading))]:
         yield f"{listed(squeezed)}: 16:9, taken for squeezed frames of a 360° video and stretched to 2:1"
     if linear := [h.path.name for h in headers if h.is_linear and reading.view_transform]:
         yield f"{listed(linear)}: linear light, shown as on a screen (--no-view-transform takes its numbers)"
@@ -424,9 +403,23 @@ def _notes_about_places_and_depth(plan: TourPlan) -> Iterator[str]:
         yield f"{plan.job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
 
-def _notes_about_video(tour: TourPlan, config: RunConfig) -> Iterator[str]:
+def _notes_about_video(
+    tour: TourPlan, config: RunConfig, job: InterpolationJob, sources: Sequence[tuple[int, int]]
+) -> Iterator[str]:
     if note := config.method_strategy.note:
         yield f"{config.method} {note}"
     for where, is_turned in tour.pairs_at_one_place():
         how = "turns in place and cross-fades" if is_turned else "cross-fades"
         yield f"{where}: there is no parallax to follow, the video {how}"
+    (rows, columns), (height, width) = max(tour.source_sizes), default_size(job, tour.source_sizes)
+    if job.size is None and job.projection != "flat" and height < rows:
+        codec = CODEC_NAMES[job.codec or "h264"]
+        more = " or --codec h265" if codec == "H.264" else ""
+        yield (
+            f"the video is {width}x{height}, the panoramas are {columns}x{rows}: few players show larger {codec}; ask "
+            f"for more with --size{more}"
+        )
+    read = zip(job.images, tour.source_sizes, sources, strict=True)
+    if reduced := [(image, size) for image, old, size in read if size != old]:
+        (image, (height, width)), more = reduced[0], f" and {len(reduced) - 1} more" if len(reduced) > 1 else ""
+        yield f"{image.name}{more}: read at {width}x{height}, frames of this size show no more"

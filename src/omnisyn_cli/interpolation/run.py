@@ -87,12 +87,9 @@ def run_interpolation(
 ) -> Summary:
     """Make the video.
 
-    Args:
-        plan: from :func:`omnisyn_cli.interpolation.plan.plan_interpolation`.
-        on_frame: called with the number of finished frames, after each.
-        read: decodes a panorama; one that remembers what it has read serves several videos.
-        estimator: finds depth for this program's own method in place of what the plan asks for.
-        now: the clock of the summary's seconds.
+    ``on_frame`` is called with the number of finished frames after each. ``read`` decodes a panorama; one that
+    remembers what it has read serves several videos. An estimator finds depth for this program's own method in place of
+    the plan's; ``now`` is the clock of the summary's seconds.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on;
     EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
@@ -132,14 +129,10 @@ def run_interpolation(
             with clock("encode"):
                 for sink in sinks:
                     sink.finish()
-    keeper.write_viewer()
+    if keeper.packer is not None and job.view is not None:
+        with clock("walk"):
+            write_page(job.view, keeper.packer.manifest(), keeper.packer.blocks.contents)
     return replace(summary, seconds=clock.with_total(), results=summary.modelled())
-
-
-def _infinitely_far(depth: DepthEstimate) -> float:
-    """Share of the sphere that has no parallax: however the camera moves, it only turns."""
-    area = solid_angles(*depth.inverse_depth.shape)
-    return float(area[depth.inverse_depth == 0.0].sum() / area.sum())
 
 
 class _PairKeeper:
@@ -148,7 +141,7 @@ class _PairKeeper:
     def __init__(self, summary: Summary, loader: Loader, depth_folder: Path | None, clock: Stopwatch) -> None:
         self._plan, self._summary, self._clock = summary.plan, summary, clock
         self._loader, self._depth_folder = loader, depth_folder
-        self._packer = None if self._plan.job.view is None else TourPacker(self._plan)
+        self.packer = None if self._plan.job.view is None else TourPacker(self._plan)
         self._current: SurfacePair | None = None
 
     def __call__(self, index: int, pair: Pair) -> None:
@@ -161,7 +154,9 @@ class _PairKeeper:
             self._summary.soft_pairs.append(index)
         if pair.prepared.triangles is not None:
             self._summary.triangles[index] = pair.prepared.triangles
-        self._summary.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
+        # without parallax: however the camera moves, it only turns there
+        areas = [(depth.inverse_depth == 0.0, solid_angles(*depth.inverse_depth.shape)) for depth in pair.depths]
+        self._summary.infinitely_far[index] = fmean(float(area[is_far].sum() / area.sum()) for is_far, area in areas)
         first, second = (entry.pose for entry in self._plan.entries[index : index + 2])
         if (height := height_in_depth((first, second), pair.depths)) is not None:
             self._summary.camera_heights[index] = height
@@ -187,7 +182,7 @@ class _PairKeeper:
 
     def add_pairs_without_frames(self, method: SurfaceMethod) -> None:
         """Keep the depth of neighbours that no frame lay between, if depth is kept."""
-        if self._depth_folder is None and self._packer is None:
+        if self._depth_folder is None and self.packer is None:
             return
         for index in sorted(set(range(len(self._loader) - 1)) - self._summary.pairs.keys()):
             tour = method.depths_of(self._loader)
@@ -199,13 +194,7 @@ class _PairKeeper:
                 with np.errstate(divide="ignore"):
                     depth = np.asarray(1.0 / estimate.inverse_depth, np.float32)
                 write_depth(self._depth_folder / depth_name(self._plan.job.images, index, k), depth)
-        if self._packer is not None:
+        if self.packer is not None:
             with self._clock("walk"):
                 views = self._loader[index], self._loader[index + 1]
-                self._packer.add(pair_surfaces(self._plan, index, views, depths, check))
-
-    def write_viewer(self) -> None:
-        """The page, if one is asked for."""
-        if self._packer is not None and self._plan.job.view is not None:
-            with self._clock("walk"):
-                write_page(self._plan.job.view, self._packer.manifest(), self._packer.blocks.contents)
+                self.packer.add(pair_surfaces(self._plan, index, views, depths, check))

@@ -60,28 +60,19 @@ class TourSummary:
     results: dict[str, Any] = field(default_factory=dict)
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
-    """What to do about a doubtful pair."""
-
     last_remedy: ClassVar[str] = "--fallback crossfade"
-    """The same in the words of the summary, where nothing else helps."""
+    """What to do about a doubtful pair; in the words of the summary, where nothing else helps."""
 
     @property
     def confidence(self) -> dict[str, Any] | None:
         """The score of all is that of the worst pair; the shares are the means. None: nobody knows."""
         if not self.plan.config.draws_surfaces:
             return None
-        if not self.pairs:
-            return {"score": 1.0, "pairs": []}
-        described = [pair.describe() for pair in self.pairs.values()]
-        shares = {key: round(fmean(pair[key] for pair in described), 4) for key in described[0] if key != "score"}
-        return {
-            "score": min(pair["score"] for pair in described),
-            **shares,
-            "pairs": [
-                {"first": index, "soft": index in self.soft_pairs, **pair}
-                for index, pair in zip(self.pairs, described, strict=True)
-            ],
-        }
+        described = {index: pair.describe() for index, pair in self.pairs.items()}
+        pairs = [{"first": index, "soft": index in self.soft_pairs, **pair} for index, pair in described.items()]
+        columns = {key: [pair[key] for pair in described.values()] for key in next(iter(described.values()), {})}
+        score = min(columns.pop("score", [1.0]))
+        return {"score": score, **{key: round(fmean(values), 4) for key, values in columns.items()}, "pairs": pairs}
 
     def __repr__(self) -> str:
         worst = f", confidence {min(pair.score for pair in self.pairs.values()):.2f}" if self.pairs else ""

@@ -28,13 +28,10 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 @dataclass(frozen=True)
 class PanoramaSurface:
-    """A posed panorama and its surface.
+    """A posed panorama, by its index in the job, and its surface.
 
-    Attributes:
-        index: of the panorama in the job.
-        view: the panorama: picture, pose, mask.
-        depth: 1/metre and confidence, at a resolution of its own.
-        mesh: of that depth, in the frame of the panorama, cut by the config's rule; masked vertices have no surface.
+    Depth (1/metre and confidence) has a resolution of its own. The mesh is in the frame of the panorama and cut by the
+    config's rule; masked vertices have no surface.
     """
 
     index: int
@@ -62,13 +59,10 @@ def quantized_picture(picture: np.ndarray, columns: int | None) -> UInt8[np.ndar
 
 @dataclass(frozen=True)
 class PairSurfaces:
-    """Two neighbours and their surfaces.
+    """The surfaces of two neighbours, by the index of the pair in the plan: in a chain that of its first panorama.
 
-    Attributes:
-        index: of the pair in the plan: in a chain that of its first panorama.
-        surfaces: of the first and of the second.
-        cross_check: how differently they are exposed, and how far what is made of them can be relied on.
-        is_soft: whether they are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
+    The cross-check says how differently they are exposed, and how far what is made of them can be relied on. Soft ones
+    are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
     """
 
     index: int
@@ -86,11 +80,8 @@ def tour_surfaces(
 ) -> Iterator[PairSurfaces]:
     """The surfaces of every pair of the plan, one pair at a time, in order.
 
-    Args:
-        plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its config depth, cut and device matter.
-        summary: is given what there is to know about pairs and panoramas.
-        estimator: finds depth in place of the config's.
-        clock: collects seconds by stage.
+    The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. An
+    estimator finds depth in place of that of the plan's config, of which depth, cut and device matter.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
     doubtful and the fallback is to give up.

@@ -29,7 +29,6 @@ SITE_BYTES, SITE_PIXEL_BYTES, CLIP_PIXEL_BYTES = 290e6, 54, 190
 """Of a site without depth: the program, each pixel of a panorama that is read and made level, and each pixel of a clip
 besides what finding depth takes: all of its frames are held to be played backwards. Measured."""
 
-
 MAX_CLIP_ROWS = 1024
 """What telephones decode besides showing a sphere."""
 
@@ -37,13 +36,10 @@ MAX_CLIP_ROWS = 1024
 class Format(NamedTuple):
     """What there is to say about a format.
 
-    Attributes:
-        suffix: of its file; empty for those that fill a folder.
-        up: of its world, see :data:`omnisyn_cli.poses.formats.WORLD_UP`.
-        stride: pixels of the depth between its points, if nobody says so.
-        sky: whether what is infinitely far is shown, likewise.
-        point: bytes of a point as it is written; 0 where there are none.
-        writing: bytes of each pixel of a panorama while its files are made.
+    The suffix of its file is empty for those that fill a folder; ``up`` is one of
+    :data:`omnisyn_cli.poses.formats.WORLD_UP`. Stride (pixels of the depth between points) and sky (whether what is
+    infinitely far is shown) are defaults. ``point`` are the bytes of a point as it is written, 0 where there are none;
+    ``writing`` those of each pixel of a panorama while its files are made.
     """
 
     suffix: str
@@ -93,12 +89,7 @@ class ExportJob(TourJob):
 
 @dataclass(frozen=True)
 class ExportPlan(TourPlan):
-    """A job that has been checked.
-
-    Attributes:
-        format: one of :data:`FORMATS`.
-        stride, sky: as in the job, settled.
-    """
+    """A job that has been checked; format, stride and sky are settled."""
 
     job: ExportJob
     format: str
@@ -121,7 +112,7 @@ class ExportPlan(TourPlan):
         chosen = FORMATS[self.format]
         if self.job.clips:
             rows = min(MAX_CLIP_ROWS, max(height for height, _ in self.source_sizes))
-            return super().memory + CLIP_PIXEL_BYTES * 2 * rows**2
+            return self.memory_estimate.of_surfaces(Footprint()) + CLIP_PIXEL_BYTES * 2 * rows**2
         if not self.has_depth:
             return int(SITE_BYTES + SITE_PIXEL_BYTES * max(height * width for height, width in self.source_sizes))
         if chosen.point == 0:
@@ -131,12 +122,12 @@ class ExportPlan(TourPlan):
             footprint = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
         return self.memory_estimate.of_surfaces(footprint)
 
-    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
         """See :meth:`TourPlan.details`."""
         settled = {
             "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
         }  # fmt: skip
-        return {"format": self.format}, settled
+        return {"format": self.format}, settled, self.memory
 
 
 @dataclass(frozen=True)

@@ -11,20 +11,10 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import datasets
+from omnisyn_cli.interpolation.export import site as sites
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.plan import FORMATS, MAX_CLIP_ROWS, ExportPlan, ExportSummary
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
-from omnisyn_cli.interpolation.export.site import (
-    CLIPS,
-    DEPTH,
-    NAMED_FILE,
-    Site,
-    depth_model,
-    hotspot_pictures,
-    levelled,
-    photograph,
-    site_of,
-)
 from omnisyn_cli.interpolation.export.triangulation import textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
@@ -53,6 +43,10 @@ DOME_SHARE = 1.0 - 1e-4
 CLIP_FRAMES, CLIP_FPS, CLIP_CRF = 37, 24.0, 20.0
 """A second and a half, because longer ones make people wait; two thirds of the bytes of other videos."""
 
+Pairs = Iterator[PairSurfaces]
+Count = Callable[[int], None]
+"""What is found of a tour; called with the number of finished panoramas."""
+
 HOTSPOT_PIXELS = 2048
 """Longest side of the picture of a hotspot. Set by hand."""
 
@@ -62,10 +56,8 @@ def run_export(
 ) -> ExportSummary:
     """Write the files; all of them appear when everything has gone well.
 
-    Args:
-        plan: from :func:`plan_export`.
-        on_panorama: called with the number of finished panoramas, after each.
-        estimator: finds depth in place of what the plan asks for.
+    ``on_panorama`` is called with the number of finished panoramas after each; an estimator finds depth in place of the
+    plan's.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown;
     WriteError: the disk is full, or the folder went away.
@@ -78,16 +70,14 @@ def run_export(
     return replace(summary, seconds=clock.with_total(), results=results)
 
 
-def _counted(pairs: Iterator[PairSurfaces], count: Callable[[int], None]) -> Iterator[PanoramaSurface]:
+def _counted(pairs: Pairs, count: Count) -> Iterator[PanoramaSurface]:
     """The surface of each panorama; it is counted when the next one is asked for."""
     for done, surface in enumerate(panorama_surfaces(pairs), start=1):
         yield surface
         count(done)
 
 
-def _write_model(
-    plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, int]:
+def _write_model(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
     from omnisyn_cli import __version__
 
     model, triangles = GltfModel(f"omnisyn {__version__}"), 0
@@ -107,9 +97,7 @@ def _write_model(
     return {"triangles": triangles}
 
 
-def _write_cloud(
-    plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, int]:
+def _write_cloud(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
     parts = []
     for surface in _counted(pairs, count):
         with clock("export"):
@@ -125,9 +113,7 @@ def _write_cloud(
     return {"points": len(points)}
 
 
-def _write_dataset(
-    plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, int]:
+def _write_dataset(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
     job, is_colmap = plan.job, plan.format == "colmap"
     poses: dict[str, Pose] = {}
     sizes: dict[str, tuple[int, int]] = {}
@@ -154,10 +140,9 @@ def _write_dataset(
 
 def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
     """Of one panorama, in the format's world."""
-    dome = plan.job.dome
     pose = foreign_from_pose(surface.view.pose, camera="opengl", up=FORMATS[plan.format].up)
-    farthest = np.inf if plan.sky else DOME_SHARE * dome
-    mesh = _domed(plan, surface, dome)
+    farthest = np.inf if plan.sky else DOME_SHARE * plan.job.dome
+    mesh = _domed(plan, surface, plan.job.dome)
     return points_of(mesh, surface.depth.confidence, surface.samples(), pose, plan.stride, farthest)
 
 
@@ -174,13 +159,11 @@ def _nothing(plan: ExportPlan) -> str:
     )
 
 
-def _write_site(
-    plan: ExportPlan, pairs: Iterator[PairSurfaces], clock: Stopwatch, count: Callable[[int], None]
-) -> dict[str, int]:
-    tour, job, images = plan.tour, plan.job, hotspot_pictures(plan.tour)
-    site = site_of(tour, has_clips=job.clips)
+def _write_site(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
+    tour, job, images = plan.tour, plan.job, sites.hotspot_pictures(plan.tour)
+    site = sites.site_of(tour, has_clips=job.clips)
     panoramas = {said.image: panorama for said, panorama in zip(tour.panoramas, site.panoramas, strict=True)}
-    former = former_files(job.output, {viewer.document[0] for viewer in VIEWERS.values()}, NAMED_FILE)
+    former = former_files(job.output, {viewer.document[0] for viewer in VIEWERS.values()}, sites.NAMED_FILE)
     with replaced_folder(job.output, former, overwrite=job.overwrite) as staged:
         with clock("write"):  # before depth is found: a damaged picture ends it
             for source, name in images.items():
@@ -190,10 +173,10 @@ def _write_site(
         known = ((panoramas[image], view, depth) for image, view, depth in views if image in panoramas)
         for done, (panorama, view, depth) in enumerate(known, start=1):
             with clock("export"):
-                picture = levelled(photograph(view, job.texture), view.pose.rotation)
+                picture = sites.levelled(sites.photograph(view, job.texture), view.pose.rotation)
                 _write(staged / panorama.picture, jpeg_bytes(picture))
                 if depth is not None:
-                    _write(staged / DEPTH / f"{panorama.identity}.depth", depth)
+                    _write(staged / sites.DEPTH / f"{panorama.identity}.depth", depth)
             count(done)
         if job.clips:
             with clock("clips"):
@@ -216,7 +199,7 @@ def _indices(plan: ExportPlan) -> list[int]:
     return [plan.job.images.index(panorama.image) for panorama in plan.tour.panoramas]
 
 
-def _views_with_depth(plan: ExportPlan, pairs: Iterator[PairSurfaces]) -> Iterator[tuple[Path, View, bytes]]:
+def _views_with_depth(plan: ExportPlan, pairs: Pairs) -> Iterator[tuple[Path, View, bytes]]:
     """As :func:`_views`, with the file of the depth.
 
     A pair at one place knows next to nothing of it, so a panorama comes again with one that knows more.
@@ -227,11 +210,11 @@ def _views_with_depth(plan: ExportPlan, pairs: Iterator[PairSurfaces]) -> Iterat
             count = surface.depth.inverse_depth.size
             if count > vertices.get(surface.index, 0):
                 vertices[surface.index] = count
-                model = depth_model(surface.mesh.inverse_depth, surface.view.pose.rotation, plan.job.dome)
+                model = sites.depth_model(surface.mesh.inverse_depth, surface.view.pose.rotation, plan.job.dome)
                 yield plan.job.images[surface.index], surface.view, krpano_depth(*model)
 
 
-def _write_clips(plan: ExportPlan, site: Site, staged: Path) -> None:
+def _write_clips(plan: ExportPlan, site: sites.Site, staged: Path) -> None:
     """Videos of every way in both directions, level and looking north like the panoramas that they begin and end with.
 
     They are made as a video between the two panoramas would be, with all that was asked for. The way back is the way
@@ -244,8 +227,8 @@ def _write_clips(plan: ExportPlan, site: Site, staged: Path) -> None:
         for panorama in site.panoramas
         for link in panorama.links
     }
-    make_folder(staged / CLIPS, "clips")
-    with hidden_folder(staged / CLIPS) as folder:
+    make_folder(staged / sites.CLIPS, "clips")
+    with hidden_folder(staged / sites.CLIPS) as folder:
         poses = folder / POSES_NAME
         write_poses(poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)), allow_outside=True)
         for (first, second), clip in clips.items():

@@ -27,11 +27,9 @@ NAMED_FILE = re.compile(
 )
 """Files of those folders in the text that describes a tour."""
 
-REMAP_ROWS = 256
-"""Rows that are made level at once: tables for whole panoramas would take many times their memory."""
-
-LEVEL_TOLERANCE = 1e-4
-"""Radians by which a panorama may be turned and count as level and looking north: a third of a pixel of 16384."""
+REMAP_ROWS, LEVEL_TOLERANCE = 256, 1e-4
+"""Rows that are made level at once: tables for whole panoramas would take many times their memory. Radians by which a
+panorama may be turned and count as level and looking north: a third of a pixel of 16384."""
 
 DEPTH_ROWS, DEPTH_COLS = 128, 256
 """Steps of the grid of a depth model; its vertices have to be fewer than 65,536."""
@@ -44,14 +42,9 @@ SAME_PLACE_PITCH = math.radians(-30.0)
 class SiteMark:
     """A place in a panorama that one can click.
 
-    Attributes:
-        text: what it says.
-        yaw, pitch: radians to the right of north (−z of the world), and above the horizon.
-        position: place in the world in metres, or None where only the direction is known.
-        target: identity of the panorama that it leads to, or None.
-        clip: a video of the way there, relative to the site, or None.
-        link: an address that it leads to, or None.
-        image: a picture that it shows, relative to the site, or None.
+    Yaw and pitch are radians to the right of north (−z of the world), and above the horizon. The position is in metres
+    in the world; None where only the direction is known. It leads to the panorama of the identity ``target``, perhaps
+    with a video of the way there, or to an address; or it shows an image. Files are relative to the site.
     """
 
     text: str
@@ -68,14 +61,8 @@ class SiteMark:
 class SitePanorama:
     """A panorama of a site; it is level, and its centre looks north.
 
-    Attributes:
-        identity: unlike those of all others, of letters, digits, ``_`` and ``-``.
-        title, caption: for people.
-        picture: file, relative to the site.
-        position: in the world, metres.
-        yaw, pitch: radians of the first view, if one begins there.
-        links: to other panoramas.
-        hotspots: all other marks.
+    Its identity is unlike all others, of letters, digits, ``_`` and ``-``. The picture is a file relative to the site,
+    the position in metres in the world; yaw and pitch are radians of the first view, if one begins there.
     """
 
     identity: str

@@ -30,13 +30,10 @@ POLE_PIECES = 2
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles in the frame of the panorama, counter-clockwise as seen from its centre.
+    """Triangles in the frame of the panorama, counter-clockwise as seen from its centre; positions are in metres.
 
-    Attributes:
-        position: ``(vertices, 3)`` metres.
-        texture: ``(vertices, 2)`` (u, v) of the panorama, the origin in its upper left corner; u leaves [0, 1] by up to
-            a pixel of the mesh beside the seam, where the texture repeats.
-        triangles: ``(triangles, 3)`` indices of vertices.
+    Texture coordinates (u, v) have their origin in the upper left corner of the panorama; u leaves [0, 1] by up to a
+    pixel of the mesh beside the seam, where the texture repeats.
     """
 
     position: Float[np.ndarray, "vertices 3"]

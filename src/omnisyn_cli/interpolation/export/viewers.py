@@ -29,11 +29,8 @@ VENDOR = "vendor"
 WINDOW_ASPECT = 16 / 9
 """Width by height of the window for which a vertical field of view becomes a horizontal one."""
 
-PHOTO_SPHERE_VIEWER_FOVS = (30.0, 90.0)
-"""Degrees from top to bottom at its greatest and least zoom, as it has them."""
-
-MARZIPANO_FOV = 75.0
-"""Degrees from top to bottom where nobody says; it has no default of its own."""
+PHOTO_SPHERE_VIEWER_FOVS, MARZIPANO_FOV = (30.0, 90.0), 75.0
+"""Degrees from top to bottom at its greatest and least zoom; and where nobody says, as it has no default of its own."""
 
 CENTIMETRES = 100.0
 """In a metre: krpano's unit."""
@@ -43,11 +40,8 @@ CENTIMETRES = 100.0
 class Viewer:
     """What there is to know of a viewer.
 
-    Attributes:
-        document: name of the file that describes the tour, and what makes its text.
-        packages: on npm, with the versions that are known to show it; none where it is not there.
-        has_depth: whether it wants depth.
-        plays_clips: whether its page shows videos of the ways.
+    Its document is the file that describes the tour, and what makes its text. Packages are those on npm, with the
+    versions that are known to show it; none where it is not there. Its page may play clips: videos of the ways.
     """
 
     document: tuple[str, Callable[[Site], str]]
@@ -184,10 +178,9 @@ def _krpano_place(position: Float[np.ndarray, " 3"]) -> list[str]:
 
 def _krpano_mark_place(mark: SiteMark, panorama: SitePanorama) -> list[str]:
     """Of one without a position a metre away in its direction."""
-    if mark.position is not None:
-        return _krpano_place(mark.position)
     polar_angle = math.radians(90.0) - mark.pitch
-    return _krpano_place(panorama.position + np.asarray(angles_to_direction(np.array(mark.yaw), np.array(polar_angle))))
+    beside = panorama.position + np.asarray(angles_to_direction(np.array(mark.yaw), np.array(polar_angle)))
+    return _krpano_place(beside if mark.position is None else mark.position)
 
 
 def _krpano_text(text: str) -> str:

@@ -53,13 +53,10 @@ class Duration:
 def range_in_words(low: float, high: float) -> str:
     """A range of seconds in round numbers of seconds, minutes or hours."""
     unit, name = next((each for each in ((1, "s"), (60, "min")) if high < 100 * each[0]), (3600, "hours"))
-    bounds = [_rounded(seconds / unit) for seconds in (low, high)]
-    return f"{bounds[0]} to {bounds[1]} {name}" if bounds[0] < bounds[1] else f"{bounds[1]} {name}"
-
-
-def _rounded(number: float) -> int:
-    step = 1 if number < 10 else 5 if number < 40 else 10
-    return max(1, step * round(number / step))
+    numbers = low / unit, high / unit
+    steps = [1 if number < 10 else 5 if number < 40 else 10 for number in numbers]
+    first, last = (max(1, step * round(number / step)) for number, step in zip(numbers, steps, strict=True))
+    return f"{first} to {last} {name}" if first < last else f"{last} {name}"
 
 
 def probe() -> float:
@@ -205,19 +202,17 @@ def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: flo
     fitting = [name for name, duration in expected.items() if duration.seconds <= budget]
     fastest = next(iter(expected))  # by the scale: runs that are remembered may be of one preset, on a busy machine
     chosen = max(fitting, key=lambda name: quality(measured[name]), default=fastest)
-    best = max(expected, key=lambda name: quality(measured[name]))
-    return Choice(chosen, expected, budget, "" if best == chosen else _more(best, expected, measured, chosen))
+    best, more = max(expected, key=lambda name: quality(measured[name])), ""
+    if best != chosen:
+        gained, error = gain(measured[best], measured[chosen])
+        more = (
+            f"; {best} would take {expected[best].words} for {gained:+.2f} ± {error:.2f} dB "
+            f"(the mean of {len(measured[best].scores)} scenes of omnisyn bench)"
+        )
+    return Choice(chosen, expected, budget, more)
 
 
 def _scored(table: Sequence[Figures], preset: str) -> Figures | None:
     """Figures of a preset in the size with the most pixels that it has scores in."""
     rated = [f for f in table if f.scores and f.config == SCALE[preset].config]
     return max(rated, key=lambda f: math.prod(f.setting.size), default=None)
-
-
-def _more(best: str, expected: dict[str, Duration], measured: dict[str, Figures], chosen: str) -> str:
-    gained, error = gain(measured[best], measured[chosen])
-    return (
-        f"; {best} would take {expected[best].words} for {gained:+.2f} ± {error:.2f} dB "
-        f"(the mean of {len(measured[best].scores)} scenes of omnisyn bench)"
-    )

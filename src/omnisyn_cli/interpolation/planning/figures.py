@@ -54,10 +54,9 @@ DEFAULT_CONFIG = RunConfig()
 
 @dataclass(frozen=True)
 class Figures:
-    """What was measured of a setting.
+    """What was measured of a setting, or the ``reason`` why that failed.
 
     Attributes:
-        status: ``done``, or ``failed`` for a ``reason``.
         config: what the method stands for.
         key: digest of what the figures depend on.
         source: height and width of the panoramas.

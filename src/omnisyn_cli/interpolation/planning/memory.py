@@ -19,29 +19,20 @@ samples of 8 bits."""
 CONFIDENCE_BYTES = 12
 """Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
 
-MIP_LEVEL_SHARE = 4 / 3
-"""Pixels of a texture with its mip levels, in those of the picture."""
+MIP_LEVEL_SHARE, FLOAT_PIXEL_BYTES = 4 / 3, 12
+"""Pixels of a texture with its mip levels, in those of the picture; bytes of each pixel of a panorama as numbers."""
 
-FLOAT_PIXEL_BYTES = 12
-"""Bytes of each pixel of a panorama as numbers, which depth is found in."""
-
-UNCOLLECTED_BYTES = 80e6
-"""Bytes that finding the depth of one pair leaves lying until that of the next is found."""
-
-LOOK_AHEAD_VERTEX_BYTES = 4 * 8
-"""Bytes of each vertex of a surface that are held of the pair after the one at work, and while both are joined."""
+UNCOLLECTED_BYTES, LOOK_AHEAD_VERTEX_BYTES = 80e6, 4 * 8
+"""Bytes that finding the depth of one pair leaves lying until that of the next is found; and those of each vertex of a
+surface that are held of the pair after the one at work, and while both are joined."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Bytes that something made of surfaces takes.
+    """Bytes that something made of surfaces takes: of each pixel and each vertex until all surfaces are there.
 
-    Attributes:
-        per_pixel: of each picture, until all of them are there.
-        per_vertex: of each surface, likewise.
-        closing: of each vertex of all surfaces, when all of them are there.
-        writing: of each pixel of one picture, while it is written.
-        columns: that pictures have at most in it; None is as many as they have.
+    ``closing`` are those of each vertex when all are there, ``writing`` of each pixel of one picture while it is
+    written. Pictures have at most so many columns in it.
     """
 
     per_pixel: float = 0.0
@@ -83,14 +74,10 @@ class MemoryEstimate:
         """Of the largest surface."""
         return max(height * width for height, width in self.depths)
 
-    @property
-    def program(self) -> float:
-        """Bytes of the program and its networks."""
-        return self.config.depth.bytes_of_program(self.depths)
-
     def of_surfaces(self, footprint: Footprint) -> int:
         """Bytes while depth is found and while something is made of a surface."""
         config, pixels, vertices, count = self.config, self.pixels, self.vertices, len(self.sources)
+        program = config.depth.bytes_of_program(self.depths)
         panorama = FLOAT_PIXEL_BYTES + (3 if self.is_8_bit else FLOAT_PIXEL_BYTES)
         more = (panorama * pixels + UNCOLLECTED_BYTES) if count > 2 else 0.0
         if self.looks_ahead:
@@ -102,18 +89,19 @@ class MemoryEstimate:
             footprint.writing * pixels + config.renderer_strategy.building_bytes * vertices,
             count * footprint.closing * vertices,
         )
-        return int(self.program + 2 * panorama * pixels + more + kept + drawing_bytes)
+        return int(program + 2 * panorama * pixels + more + kept + drawing_bytes)
 
     def of_frames(self, job: InterpolationJob, size: tuple[int, int]) -> int:
         """Bytes while depth is sharpened, while surfaces are made, and while frames of a size are."""
         config, pixels, vertices = self.config, self.pixels, self.vertices
-        source, renderer = config.depth.strategy, config.renderer_strategy
+        source, program = config.depth.strategy, config.depth.bytes_of_program(self.depths)
+        renderer = config.renderer_strategy
         is_kept_as_samples = self.is_8_bit and renderer.shades_on_demand
         kept = (3 if self.is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
         texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
         frames = _bytes_of_frames(job, config, size) + FLOAT_PIXEL_BYTES * pixels
         if not config.draws_surfaces:
-            return int(self.program + 2 * kept * pixels + frames)
+            return int(program + 2 * kept * pixels + frames)
         depth_bytes = source.bytes_of_estimation(self.depths)
         if source.refines(self.depths):
             depth_bytes += 2 * FLOAT_PIXEL_BYTES * pixels
@@ -123,7 +111,7 @@ class MemoryEstimate:
             ahead += UNCOLLECTED_BYTES
         texturing_surfaces = 2 * renderer.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * pixels
         frames += 2 * renderer.kept_bytes * vertices
-        return int(self.program + 2 * kept * pixels + ahead + max(depth_bytes, texturing_surfaces, frames))
+        return int(program + 2 * kept * pixels + ahead + max(depth_bytes, texturing_surfaces, frames))
 
 
 def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, int]) -> float:

@@ -2,30 +2,39 @@
 
 import zlib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
+from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
+from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE, SAME_POINT_TOLERANCE
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
-from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
 from omnisyn_cli.interpolation.viewer.packing import Blocks, confidence_codes, inverse_depth_codes, packed_mask
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.images import read_picture
 from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
 from omnisyn_cli.poses.tour import FloorPlan, Hotspot, StartView
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import MAX_FULL_RESOLUTION_LEVEL, MIP_BIAS
-from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
+from omnisyn_cli.synthesis.frame import fuse_frame
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, KnownDepth
 
 UP_AXIS, MIN_GROUND_COSINE, DEFAULT_EYE_HEIGHT_METRES = 1, 0.8, 1.5
 """Of the world; of the angle from straight down up to which ground is looked for; where there is none."""
@@ -35,6 +44,13 @@ FORMAT_VERSION = 1
 
 HOTSPOT_PIXELS, PLAN_PIXELS = 1600, 2048
 """Longer side of the pictures of hotspots, and of a floor plan."""
+
+NO_CORRECTION, CORRECTION_SCALE = 128, 127
+"""Value of a sample that changes nothing, and samples for a change by the whole range."""
+
+CORRECTION_ROWS, CORRECTION_SHARE, MIN_CORRECTION = 512, 0.7, 4
+"""Of the picture: more rows gain nothing. Of the change that is kept, as the network answers a little differently for
+every heading: all of it gains less. In samples: a picture that changes less everywhere is left out."""
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
@@ -218,3 +234,34 @@ def _gains(curve: ExposureCurve) -> list[list[float]] | None:
         return None
     of_both = [curve.gains_at(STORED_LEVELS, of_second=of_second) for of_second in (False, True)]
     return [np.round(gains.T, 4).ravel().tolist() for gains in of_both]
+
+
+def correction_of(plan: TourPlan, pair: PairSurfaces) -> UInt8[np.ndarray, "rows cols 3"] | None:
+    """What the fusion network changes half way, as a panorama that looks along −z of the world; None where it does not.
+
+    A page blends by rules alone (:mod:`omnisyn_cli.fusion.blend_rule`). A video also suppresses ghosts and lets a
+    network correct the frame. The difference of both half way is small and smooth enough to be kept as a picture.
+    """
+    first, second = (surface.view for surface in pair.surfaces)
+    rows = min(CORRECTION_ROWS, *(view.image.shape[0] // 2 * 2 for view in (first, second)))
+    size, threads, config = (rows, 2 * rows), plan.job.threads, plan.config
+    if config.fusion != "network" or at_same_position(first.pose, second.pose):
+        return None
+    waypoint = Waypoint(0, 0.5, Pose(np.eye(3), (first.pose.position + second.pose.position) / 2.0))
+    views = [replace(surface.view, known_depth=surface.depth) for surface in pair.surfaces]
+    plain = replace(config, renderer="mesh", adaptive=False, edges=False, fallback="none")
+    fuser = make_fuser("network", FuserSettings(size, threads, config.fusion_rows, edges=False), device=config.device)
+    with limited_threads(threads):
+        method = make_method(plain, size, threads=threads, estimator=KnownDepth(), fuser=fuser)
+        if not isinstance(method, SurfaceMethod):
+            return None
+        prepared = method.prepare(0, views).prepared
+        rules = GeometricFuser(size, threads=threads, edges=False).blend_by_rule
+        by_rule, fused = (
+            fuse_frame(prepared, waypoint, one, method.options, method.clock, None).frame.image.copy()
+            for one in (rules, fuser)
+        )
+    change = np.rint(CORRECTION_SCALE * CORRECTION_SHARE * np.clip(fused - by_rule, -1.0, 1.0))
+    if np.abs(change).max() < MIN_CORRECTION:
+        return None
+    return np.asarray(NO_CORRECTION + change, np.uint8)

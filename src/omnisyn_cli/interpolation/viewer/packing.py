@@ -20,11 +20,9 @@ from omnisyn_cli.render.mesh import Mesh
 NO_SURFACE_CODE = 65535
 """Code of a vertex without a surface; those of inverse depths are smaller."""
 
-JPEG_QUALITY = 88
-"""Of JPEG files: at 92 they are a third larger."""
-
-PREVIEW_COLUMNS, PREVIEW_QUALITY = 768, 72
-"""Width and JPEG quality of the first picture of a panorama: it takes some 50 kB, so that something shows at once."""
+JPEG_QUALITY, PREVIEW_COLUMNS, PREVIEW_QUALITY = 88, 768, 72
+"""Of JPEG files: at 92 they are a third larger. Of the first picture of a panorama: it takes some 50 kB, so that
+something shows at once."""
 
 MIN_REDUCTION = 1.5
 """Ratio of the widths of a photograph's levels: less is not worth a level of its own."""

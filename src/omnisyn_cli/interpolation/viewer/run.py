@@ -97,7 +97,7 @@ class ViewPlan(TourPlan):
         near = min(len(self.entries) * each, GRAPHICS_BUDGET_BYTES)
         return round(max(2 * each, near) + PICTURE_PIXEL_BYTES * SCREEN_PIXELS)
 
-    def details(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
         """See :meth:`TourPlan.details`."""
         sizes = self.sizes()
         packing = {
@@ -106,7 +106,7 @@ class ViewPlan(TourPlan):
             "megabytes_per_panorama": round(max(sizes) / 1e6, 2),
             "graphics_mib": round(self.graphics_memory / 2**20),
         }  # fmt: skip
-        return packing, {}
+        return packing, {}, self.memory
 
 
 def plan_view(job: ViewJob) -> ViewPlan:
@@ -121,7 +121,12 @@ def plan_view(job: ViewJob) -> ViewPlan:
         check_page(job.output, job.overwrite)
     check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
     tour = plan_tour(job, page_config)
-    _check_linked(tour)
+    linked = {view for pair in tour.pairs for view in pair}
+    if alone := [image.name for k, image in enumerate(tour.job.images) if k not in linked]:
+        raise PoseError(
+            f'expected links to every panorama, got none to {listed(alone)}; add them to "links", or name the '
+            "panoramas of the walk one by one"
+        )
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     still = (f"{where}: there is no way to walk, the page cross-fades" for where, _ in tour.pairs_at_one_place())
     notes = (*tour.notes, *still)
@@ -148,8 +153,12 @@ def run_view(
         for done, pair in enumerate(tour_surfaces(plan, summary, estimator=estimator, clock=clock), start=1):
             with clock("pack"):
                 packer.add(pair)
-            if staged is None:
-                _check_size(plan, packer)
+            if staged is None and packer.blocks.size * BASE64_RATIO > MAX_PAGE_BYTES:  # said as early as it shows
+                raise OutputPathError(
+                    f"{job.output}: expected a walk of at most {MAX_PAGE_BYTES >> 20} MiB in one file, got more with "
+                    f"{len(plan.entries)} panoramas of {job.texture} columns; ask for fewer columns (--texture), or "
+                    "for a folder (--folder --serve)"
+                )
             if on_pair:
                 on_pair(done)
         with clock("write"):
@@ -158,23 +167,3 @@ def run_view(
             else:
                 size = write_folder(staged, packer.manifest(), packer.blocks)
     return replace(summary, seconds=clock.with_total(), results={"bytes": size})
-
-
-def _check_linked(plan: TourPlan) -> None:
-    """Refuse (PoseError) panoramas that no link leads to."""
-    linked = {view for pair in plan.pairs for view in pair}
-    if alone := [image.name for k, image in enumerate(plan.job.images) if k not in linked]:
-        raise PoseError(
-            f'expected links to every panorama, got none to {listed(alone)}; add them to "links", or name the '
-            "panoramas of the walk one by one"
-        )
-
-
-def _check_size(plan: ViewPlan, packer: TourPacker) -> None:
-    """As early as it shows."""
-    if packer.blocks.size * BASE64_RATIO > MAX_PAGE_BYTES:
-        raise OutputPathError(
-            f"{plan.job.output}: expected a walk of at most {MAX_PAGE_BYTES >> 20} MiB in one file, got more with "
-            f"{len(plan.entries)} panoramas of {plan.job.texture} columns; ask for fewer columns "
-            "(--texture), or for a folder (--folder --serve)"
-        )
