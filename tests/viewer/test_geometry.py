@@ -18,8 +18,8 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.interpolation.loading import PairSurfaces, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
 from omnisyn_cli.interpolation.viewer import contents
 from omnisyn_cli.interpolation.viewer.contents import CORRECTION_SCALE, NO_CORRECTION, TourPacker, correction_of
 from omnisyn_cli.interpolation.viewer.packing import packed_map

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
@@ -152,13 +152,8 @@ def write_video(
     kind = sample_type(Path(path), options.get("codec"))
     with open_video(path, size=first.shape[:2], fps=fps, dtype=kind, **options) as sink:
         for frame in chain([first], waiting):
-            sink.write(_samples(frame, kind))
-
-
-def _samples(frame: np.ndarray, kind: str) -> Shaped[np.ndarray, "height width 3"]:
-    if kind not in INTEGER_PEAKS:
-        return frame.astype(kind)
-    return np.asarray(np.rint(np.clip(frame, 0.0, 1.0) * INTEGER_PEAKS[kind]), kind)
+            whole = np.rint(np.clip(frame, 0.0, 1.0) * INTEGER_PEAKS[kind]) if kind in INTEGER_PEAKS else frame
+            sink.write(whole.astype(kind))
 
 
 def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | str, **options: Any) -> Summary:
@@ -185,11 +180,9 @@ def _with_options(verb: inspect.Signature) -> inspect.Signature:
     types = get_type_hints(InterpolationJob)  # without their ranges
     named = [parameter for parameter in verb.parameters.values() if parameter.kind is not parameter.VAR_KEYWORD]
     options = [
-        inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=types[field.name]
-        )
-        for field in fields(InterpolationJob)
-        if field.name not in verb.parameters
+        inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=types[each.name])
+        for each in fields(InterpolationJob)
+        if each.name not in verb.parameters
     ]
     return verb.replace(parameters=[*named, *options])
 

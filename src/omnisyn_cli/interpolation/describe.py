@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -87,11 +88,10 @@ def _describe_depth(path: Path, max_pixels: int) -> dict[str, Any]:
     depth = read_depth(path, max_pixels=max_pixels)
     finite = depth[np.isfinite(depth)]
     height, width = depth.shape
+    metres: dict[str, Callable[..., Any]] = {"nearest": np.min, "median": np.median, "farthest": np.max}
     return {
         "kind": "depth", "width": width, "height": height,
-        "nearest_metres": float(finite.min()) if finite.size else None,
-        "median_metres": float(np.median(finite)) if finite.size else None,
-        "farthest_metres": float(finite.max()) if finite.size else None,
+        **{f"{which}_metres": float(of(finite)) if finite.size else None for which, of in metres.items()},
         "infinite_share": 1.0 - finite.size / depth.size,
     }  # fmt: skip
 

@@ -13,9 +13,9 @@ from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.summary import TourSummary
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.estimation import PairDiagnosis, PictureOptions, check_poses

@@ -18,10 +18,9 @@ from omnisyn_cli.compute.threads import limited_threads, run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, stereo_mode, targets
-from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
+from omnisyn_cli.interpolation.loading import Loader, PanoramaReader, pair_surfaces
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.summary import Summary, refuse_doubtful
-from omnisyn_cli.interpolation.surfaces import pair_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.io import FrameSink, open_video, read_panorama, write_depth

@@ -41,7 +41,7 @@ CONFIDENCE_PAGE = "docs/confidence.md"
 
 @dataclass(frozen=True)
 class TourSummary:
-    """What was done, whatever was made; :func:`omnisyn_cli.interpolation.surfaces.tour_surfaces` fills it.
+    """What was done, whatever was made; :func:`omnisyn_cli.interpolation.loading.tour_surfaces` fills it.
 
     Attributes:
         plan: what was planned.

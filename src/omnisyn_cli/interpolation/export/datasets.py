@@ -13,7 +13,7 @@ from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
-from omnisyn_cli.interpolation.surfaces import PanoramaSurface
+from omnisyn_cli.interpolation.loading import PanoramaSurface
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.outputs import make_folder, named_in, write_parts
 from omnisyn_cli.io.ply import write_ply
@@ -29,10 +29,8 @@ FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
 }
 """Faces of a cube: rig-from-face in OpenCV's camera axes; "front" is the centre of the panorama."""
 
-PANORAMAS, RIG = "panoramas", "faces"
-"""Folders of the two models of COLMAP."""
-
-MODEL = "sparse/0"
+PANORAMAS, RIG, MODEL = "panoramas", "faces", "sparse/0"
+"""Folders of the two models of COLMAP, and of its files in each."""
 
 COLMAP_FILES = (
     *(f"{PANORAMAS}/{files}" for files in ("images/*.jpg", "depth/*.exr", "masks/*.jpg.png")),
@@ -93,7 +91,9 @@ def write_colmap_view(folder: Path, stem: str, surface: PanoramaSurface, side: i
         directions = rays @ (CAMERA_AXES["opencv"].T @ turn).T
         _write_picture(rig / "images" / face / name, _seen_along(picture, directions))
         along_axis = _depth(sample_nearest(inverse_depth, directions), 0.0) / np.linalg.norm(rays, axis=-1)
-        _write_map(rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin", along_axis.astype("<f4"))
+        # COLMAP's dense maps: width, height and channels in words, then float32, row after row
+        map_file = rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin"
+        write_file(map_file, "depth", f"{side}&{side}&1&".encode("ascii"), along_axis.astype("<f4").tobytes())
         usable_in_face = sample_nearest(usable.astype(np.float32), directions) > 0
         _write_mask(rig / "masks" / face / f"{name}.png", usable_in_face)
 
@@ -110,7 +110,7 @@ def write_colmap(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tu
     rig = colmap_rig_files(files, FACES, side, lines)
     for model, texts in ((PANORAMAS, whole), (RIG, rig)):
         for name, text in texts.items():
-            _write_text(folder / model / ("" if name.endswith(".json") else MODEL) / name, text)
+            write_file(folder / model / ("" if name.endswith(".json") else MODEL) / name, "the model", text.encode())
 
 
 def write_nerfstudio_view(folder: Path, stem: str, surface: PanoramaSurface) -> None:
@@ -128,7 +128,8 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
     companions = {name: {"depth_file_path": f"depths/{name}.png", "mask_path": f"masks/{name}.png"} for name in poses}
     images: dict[str, Path | None] = {name: folder / "images" / f"{name}.jpg" for name in poses}
     shared = {"depth_unit_scale_factor": 1.0 / MILLIMETRES, "ply_file_path": "points.ply"}
-    _write_text(folder / TRANSFORMS, nerfstudio_text(poses, sizes, images, folder, companions, shared))
+    text = nerfstudio_text(poses, sizes, images, folder, companions, shared)
+    write_file(folder / TRANSFORMS, "the model", text.encode())
     write_ply(folder / "points.ply", ply_points(points), ["metres, z up"])
 
 
@@ -159,13 +160,7 @@ def _depth(inverse_depth: np.ndarray, beyond: float) -> Float32[np.ndarray, "*sh
     return np.where(is_there, 1.0 / np.where(is_there, inverse_depth, 1.0), beyond).astype(np.float32)
 
 
-def _write_map(path: Path, values: Float32[np.ndarray, "rows cols"]) -> None:
-    """COLMAP's dense maps: width, height and channels in words, then float32, row after row."""
-    make_folder(path.parent, "depth")
-    rows, cols = values.shape
-    write_parts(path, (f"{cols}&{rows}&1&".encode("ascii"), values.tobytes()))
-
-
-def _write_text(path: Path, text: str) -> None:
-    make_folder(path.parent, "the model")
-    write_parts(path, (text.encode(),))
+def write_file(path: Path, what: str, *parts: bytes) -> None:
+    """Write a file of an export into a folder that is made for it; ``what`` says what for, where that fails."""
+    make_folder(path.parent, what)
+    write_parts(path, parts)

@@ -18,15 +18,21 @@ from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, 
 from omnisyn_cli.interpolation.export.triangulation import textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
-from omnisyn_cli.interpolation.loading import Loader
+from omnisyn_cli.interpolation.loading import (
+    Loader,
+    PairSurfaces,
+    PanoramaSurface,
+    mesh_of,
+    panorama_surfaces,
+    tour_surfaces,
+)
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, mesh_of, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.io.images import read_picture
-from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, replaced_folder, write_parts
+from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, replaced_folder
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.poses.formats import foreign_from_pose
@@ -168,22 +174,22 @@ def _write_site(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) 
         with clock("write"):  # before depth is found: a damaged picture ends it
             for source, name in images.items():
                 # encoded anew: what else a file holds stays where it is
-                _write(staged / name, jpeg_bytes(read_picture(source, HOTSPOT_PIXELS)))
+                datasets.write_file(staged / name, "the site", jpeg_bytes(read_picture(source, HOTSPOT_PIXELS)))
         views = _views_with_depth(plan, pairs) if plan.has_depth else _views(plan, clock)
         known = ((panoramas[image], view, depth) for image, view, depth in views if image in panoramas)
         for done, (panorama, view, depth) in enumerate(known, start=1):
             with clock("export"):
                 picture = sites.levelled(sites.photograph(view, job.texture), view.pose.rotation)
-                _write(staged / panorama.picture, jpeg_bytes(picture))
+                datasets.write_file(staged / panorama.picture, "the site", jpeg_bytes(picture))
                 if depth is not None:
-                    _write(staged / sites.DEPTH / f"{panorama.identity}.depth", depth)
+                    datasets.write_file(staged / sites.DEPTH / f"{panorama.identity}.depth", "the site", depth)
             count(done)
         if job.clips:
             with clock("clips"):
                 _write_clips(plan, site, staged)
         with clock("write"):
             for name, content in site_files(plan.format, site).items():
-                _write(staged / name, content)
+                datasets.write_file(staged / name, "the site", content)
     return {"links": site.links}
 
 
@@ -256,8 +262,3 @@ def _clip_job(plan: ExportPlan, ends: tuple[int, int], poses: Path) -> Interpola
     }  # fmt: skip
     video = {"heading": "fixed", "frames": CLIP_FRAMES, "fps": CLIP_FPS, "crf": CLIP_CRF}
     return InterpolationJob(**{**asked, **settled, **video})
-
-
-def _write(target: Path, content: bytes) -> None:
-    make_folder(target.parent, "the site")
-    write_parts(target, [content])

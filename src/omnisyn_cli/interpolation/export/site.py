@@ -14,7 +14,7 @@ from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_angles, pixel_to_direction
 from omnisyn_cli.interpolation.export.datasets import safe_name
-from omnisyn_cli.interpolation.surfaces import quantized_picture
+from omnisyn_cli.interpolation.loading import quantized_picture
 from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
 from omnisyn_cli.types import View

@@ -16,13 +16,10 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_to_angles, pix
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.simplify import flat_rectangles
 
-MAX_FLATNESS = 0.01
-"""Share of its distance by which a point of the surface may be moved along its ray.
-
-With true depth that leaves one triangle in six and costs 0.03 dB half way; with estimated depth one in four."""
-
-SHIFT = 0.25
-"""Texture pixels by which the picture may be shifted on the surface; twice as many cost 0.4 dB on a warehouse."""
+MAX_FLATNESS, SHIFT = 0.01, 0.25
+"""Share of its distance by which a point of the surface may be moved along its ray: with true depth that leaves one
+triangle in six and costs 0.03 dB half way; with estimated depth one in four. Texture pixels by which the picture may be
+shifted on the surface: twice as many cost 0.4 dB on a warehouse."""
 
 POLE_PIECES = 2
 """Points at the pole of a piece of a cap, which are the first two of its four."""

@@ -48,10 +48,6 @@ class Setting:
         return f"{self.method}, {self.size[1]}x{self.size[0]}, {threads}"
 
 
-DEFAULT_CONFIG = RunConfig()
-"""Of figures that name no config."""
-
-
 @dataclass(frozen=True)
 class Figures:
     """What was measured of a setting, or the ``reason`` why that failed.
@@ -71,7 +67,7 @@ class Figures:
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
-    config: RunConfig = DEFAULT_CONFIG
+    config: RunConfig = field(default_factory=RunConfig)
     key: str = ""
     source: tuple[int, int] = (0, 0)
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -19,8 +19,8 @@ from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE, SAME_POINT_TOLERANCE
+from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.viewer.packing import Blocks, confidence_codes, inverse_depth_codes, packed_mask
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.images import read_picture

@@ -11,10 +11,10 @@ from omnisyn_cli.errors import OutputPathError, PoseError
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.configs import page_config
 from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.loading import tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary
-from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker
 from omnisyn_cli.interpolation.viewer.packing import level_widths
 from omnisyn_cli.interpolation.viewer.page import MANIFEST_NAME, MAX_PAGE_BYTES, NAMED_BLOCK, write_folder, write_page
