@@ -17,7 +17,7 @@ from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.interpolation.export import run as writers
-from omnisyn_cli.interpolation.export.plan import ExportJob, plan_export
+from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
 from omnisyn_cli.interpolation.export.run import run_export
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from omnisyn_cli.interpolation.plan import InterpolationPlan

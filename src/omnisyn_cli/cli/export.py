@@ -14,13 +14,13 @@ from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation.export.plan import ExportSummary
+    from omnisyn_cli.interpolation.export.formats import ExportSummary
 
 VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")
 """Those of sites."""
 
 FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
-"""Those of :data:`omnisyn_cli.interpolation.export.plan.FORMATS`, written out as ``--help`` should not load them."""
+"""Those of :data:`omnisyn_cli.interpolation.export.formats.FORMATS`, written out as ``--help`` should not load them."""
 
 
 @click.command(cls=SectionedCommand)
@@ -84,7 +84,7 @@ def export(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.export.plan import ExportJob, default_ending, plan_export
+    from omnisyn_cli.interpolation.export.formats import ExportJob, default_ending, plan_export
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))

@@ -1,4 +1,4 @@
-"""What is asked for of files for other programs, and what of it can be checked before anything is made."""
+"""Formats of other programs: what is asked for, and what of it can be checked before anything is made."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
