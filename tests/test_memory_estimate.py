@@ -10,10 +10,10 @@ import pytest
 
 from cli.cli_samples import Omnisyn
 from interpolation_samples import CHAIN, Hall, job_of, tour_job
-from omnisyn_cli.interpolation.export import ExportJob, plan_export
+from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
-from omnisyn_cli.interpolation.viewer import ViewJob, plan_view
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 from omnisyn_cli.io import read_header, write_image
 from omnisyn_cli.pipeline.depth_sources import PRIOR_BYTES
 from omnisyn_cli.pipeline.fusions import FUSIONS

@@ -7,8 +7,8 @@ import pytest
 
 from interpolation_samples import CHAIN, Hall, job_of
 from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.interpolation.loading import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
-from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import write_image
 from omnisyn_cli.types import DepthEstimate, View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, write_hall, write_mask

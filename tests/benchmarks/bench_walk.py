@@ -22,7 +22,7 @@ from playwright.sync_api import sync_playwright
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation.viewer import ViewJob, plan_view, run_view
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 from omnisyn_cli.io import write_depth
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from viewer.browser import SOFTWARE_GL, WalkPage, launcher, serving

@@ -10,7 +10,7 @@ import pytest
 from cli.cli_samples import Omnisyn
 from interpolation_samples import CHAIN, listing
 from omnisyn_cli.cli import export as command
-from omnisyn_cli.interpolation import export as library
+from omnisyn_cli.interpolation.export import formats as library
 from synthesis_samples import write_hall
 
 

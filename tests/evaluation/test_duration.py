@@ -11,10 +11,10 @@ import pytest
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
-from omnisyn_cli.interpolation.planning import budget, duration
-from omnisyn_cli.interpolation.planning.budget import choose_preset
+from omnisyn_cli.interpolation.planning import duration
 from omnisyn_cli.interpolation.planning.duration import (
     Duration,
+    choose_preset,
     expected_duration,
     probe,
     range_in_words,
@@ -51,7 +51,6 @@ def same_machine(monkeypatch):
     """This machine is as fast as that of the table."""
     monkeypatch.setattr(duration, "probe", lambda: 0.01)
     monkeypatch.setattr(duration, "shipped_table", lambda: TABLE_NAME)
-    monkeypatch.setattr(budget, "shipped_table", lambda: TABLE_NAME)
 
 
 @pytest.fixture
@@ -148,7 +147,7 @@ def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_bring
 
 def test_the_fastest_preset_is_the_first_of_the_scale(plan, monkeypatch):
     known = {"fast": replace(expected(plan), seconds=9.0), "balanced": replace(expected(plan), seconds=7.0)}
-    monkeypatch.setattr(budget, "expected_duration", lambda other, table: known[other.job.preset])
+    monkeypatch.setattr(duration, "expected_duration", lambda other, table: known[other.job.preset])
     assert choose_preset(plan, TABLE_NAME, 1.0).preset == "fast"
 
 
@@ -180,7 +179,7 @@ def test_a_preset_that_costs_half_as_much_again_is_worth_it(plan, monkeypatch):
     """By 0.3 dB on scenes that nothing was tuned on, for ninety frames of the size of common photographs."""
     monkeypatch.undo()
     table, clip = duration.shipped_table(), replace(chain_of(plan, 2, 92), size=(1024, 2048))
-    found = [budget._scored(table, name) for name in SCALE]
+    found = [duration._scored(table, name) for name in SCALE]
     scored = [figures for figures in found if figures is not None]
     assert len(scored) == len(SCALE)
     for cheap, dear in pairwise(scored):

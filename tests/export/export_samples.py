@@ -7,7 +7,8 @@ import numpy as np
 
 from interpolation_samples import CHAIN, tour_job
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation.export import ExportJob, ExportSummary, plan_export, run_export
+from omnisyn_cli.interpolation.export.formats import ExportJob, ExportSummary, plan_export
+from omnisyn_cli.interpolation.export.run import run_export
 from synthesis_samples import PHASES, RADIUS, WAVES, write_hall
 
 OPENCV = np.diag([1.0, -1.0, -1.0])

@@ -12,8 +12,9 @@ from export_samples import CHAIN, OPENCV, exported, job_in, off_wall, wall_colou
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_quaternion
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale
-from omnisyn_cli.interpolation.export import plan_export, run_export
+from omnisyn_cli.interpolation.export.formats import plan_export
 from omnisyn_cli.interpolation.export.points import DISC_RADIUS_SHARE, points_of
+from omnisyn_cli.interpolation.export.run import run_export
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from synthesis_samples import RADIUS, SIZE, open_to_the_sky, posed
 
@@ -22,7 +23,7 @@ def test_points_lie_on_the_wall_in_its_colours(tmp_path: Path) -> None:
     """The hall is a ball about the world's origin: a wrong axis, unit, order or origin would leave it."""
     summary = exported(tmp_path, "hall.ply")
     cloud = trimesh.load(tmp_path / "hall.ply")
-    assert len(cloud.vertices) == summary.points
+    assert len(cloud.vertices) == summary.results["points"]
     assert off_wall(cloud.vertices).max() < 1e-4
     np.testing.assert_allclose(cloud.colors[:, :3], wall_colour(cloud.vertices), atol=2)
 
@@ -46,8 +47,8 @@ def test_points_are_as_dense_at_the_poles_as_at_the_equator(tmp_path: Path) -> N
 
 
 def test_a_stride_leaves_out_points_in_both_directions(tmp_path: Path) -> None:
-    all_points = exported(tmp_path, "all.ply").points
-    assert exported(tmp_path, "some.ply", stride=4).points == pytest.approx(all_points / 16, rel=0.05)
+    all_points = exported(tmp_path, "all.ply").results["points"]
+    assert exported(tmp_path, "some.ply", stride=4).results["points"] == pytest.approx(all_points / 16, rel=0.05)
 
 
 def test_discs_lie_in_the_wall_and_turn_to_the_panorama(tmp_path: Path) -> None:

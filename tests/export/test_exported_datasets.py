@@ -11,8 +11,9 @@ from PIL import Image
 
 from omnisyn_cli.geometry.pose import rotation_from_quaternion
 from omnisyn_cli.geometry.sampling import sample_bilinear
-from omnisyn_cli.interpolation.export import plan_export, run_export
 from omnisyn_cli.interpolation.export.datasets import FACES
+from omnisyn_cli.interpolation.export.formats import plan_export
+from omnisyn_cli.interpolation.export.run import run_export
 from omnisyn_cli.io import read_depth, write_depth
 from synthesis_samples import SIZE, hall_image, write_mask
 

@@ -13,7 +13,9 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from interpolation_samples import tour_job
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
-from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export, triangulation
+from omnisyn_cli.interpolation.export import triangulation
+from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
+from omnisyn_cli.interpolation.export.run import run_export
 from omnisyn_cli.interpolation.export.triangulation import MAX_FLATNESS, TexturedMesh, textured_mesh
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses

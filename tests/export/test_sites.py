@@ -16,7 +16,9 @@ from interpolation_samples import CHAIN
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import normalize
-from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export, site_writer
+from omnisyn_cli.interpolation.export import run as writers
+from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
+from omnisyn_cli.interpolation.export.run import run_export
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.run import run_interpolation
@@ -127,7 +129,7 @@ def test_clips_begin_and_end_with_the_panoramas(tmp_path: Path, monkeypatch: pyt
         plans.append(plan)
         return run_interpolation(plan)
 
-    monkeypatch.setattr(site_writer, "run_interpolation", made)
+    monkeypatch.setattr(writers, "run_interpolation", made)
     run_export(plan_export(replace(job, masks=masks)))
     (video,) = plans
     assert [entry.depth and entry.depth.resolve() for entry in video.entries] == [

@@ -12,7 +12,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.bench_settings import BenchJob
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
-from omnisyn_cli.interpolation.planning import budget
+from omnisyn_cli.interpolation.planning import duration
 from omnisyn_cli.interpolation.planning.figures import Figures, Setting
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -80,12 +80,12 @@ def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path], mo
     setting = Setting("omnisyn-paper", (64, 128), 1)
     stages = dict.fromkeys(("start", "decode", "depth", "check", "mesh", "render", "fuse", "encode"), 1e-6)
     tempting = Figures(setting, config=PAPER, seconds=stages, probe=1.0, source=(64, 128), scores={"hall": 99.0})
-    with_paper = (*budget.shipped_table(), tempting)
-    monkeypatch.setattr(budget, "shipped_table", lambda: with_paper)
+    with_paper = (*duration.shipped_table(), tempting)
+    monkeypatch.setattr(duration, "shipped_table", lambda: with_paper)
     plan = plan_interpolation(job_of(tmp_path, images))
-    assert budget.apply_budget(plan, 1e9).job.preset in SCALE
+    assert duration.apply_budget(plan, 1e9).job.preset in SCALE
     with pytest.raises(InputError, match="renderer 'mesh' with a budget, got 'two-pass'"):
-        budget.apply_budget(plan_interpolation(job_of(tmp_path, images, preset="paper")), 1e9)
+        duration.apply_budget(plan_interpolation(job_of(tmp_path, images, preset="paper")), 1e9)
 
 
 def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.interpolation.viewer import served
+from omnisyn_cli.interpolation.viewer.serve import served
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 

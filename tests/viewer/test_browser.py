@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from interpolation_samples import tour_job
-from omnisyn_cli.interpolation.viewer import ViewJob, plan_view, run_view
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 from synthesis_samples import posed, write_hall
 from viewer.browser import Launch, WalkPage, serving
 

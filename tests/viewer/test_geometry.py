@@ -18,13 +18,13 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.interpolation.loading import PairSurfaces, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
-from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, contents, plan_view
-from omnisyn_cli.interpolation.viewer.contents import PackedViewer, TourPacker
-from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
+from omnisyn_cli.interpolation.viewer import contents
+from omnisyn_cli.interpolation.viewer.contents import CORRECTION_SCALE, NO_CORRECTION, TourPacker, correction_of
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.scenes import generate_scene, sample_path
@@ -44,7 +44,7 @@ class Shot:
 
     plan: TourPlan
     pair: PairSurfaces
-    walk: PackedViewer
+    packer: TourPacker
     page: WalkPage
     opened: Any
 
@@ -67,10 +67,10 @@ def taken(folder: Path, opened: Any, *, gain: float = 1.0, tilt: float = 0.0, **
     job = tour_job(ViewJob, folder, [folder / name for name in names], "walk.html", **changes)
     plan = plan_view(job)
     (pair,) = tour_surfaces(plan)
-    packer = TourPacker(plan, ViewOptions(is_lossless=True))
+    packer = TourPacker(plan, is_lossless=True)
     packer.add(pair)
-    write_page(job.output, packer.packed())
-    return Shot(plan, pair, packer.packed(), WalkPage(opened, job.output).wait(), opened)
+    write_page(job.output, packer.manifest(), packer.blocks.contents)
+    return Shot(plan, pair, packer, WalkPage(opened, job.output).wait(), opened)
 
 
 @pytest.fixture(scope="module")
@@ -151,10 +151,10 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
         for surface, image in zip(shot.pair.surfaces, smooth, strict=True)
     ]
     painted = replace(shot, pair=replace(shot.pair, surfaces=(surfaces[0], surfaces[1])))
-    packer = TourPacker(shot.plan, ViewOptions(is_lossless=True))
+    packer = TourPacker(shot.plan, is_lossless=True)
     packer.add(painted.pair)
     file = shot.plan.job.output.with_name("smooth.html")
-    write_page(file, packer.packed())
+    write_page(file, packer.manifest(), packer.blocks.contents)
     eye, size, fov, t = Pose(look(200, 10), shot.pose(0.35).position), (150, 200), 70, 0.35
     colours, depths = WalkPage(shot.opened, file).wait().capture(eye.rotation, eye.position, fov, size)
     rays = pinhole_rays(size, fov)
@@ -187,7 +187,7 @@ def test_six_faces_are_the_frame_of_the_video(shot: Shot, t: float) -> None:
 def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Path, changes: dict[str, float]) -> None:
     other = taken(tmp_path, shot.opened, **changes)
     assert likeness(other, 0.4) >= 38.0
-    assert (other.pair.cross_check.curve.is_identity, other.walk.manifest["panoramas"][0]["mask"] is None) == (
+    assert (other.pair.cross_check.curve.is_identity, other.packer.manifest()["panoramas"][0]["mask"] is None) == (
         "gain" not in changes, "nadir" not in changes,
     )  # fmt: skip
     other.page.page.context.close()
@@ -231,10 +231,10 @@ def test_a_correction_is_added_where_it_lies_and_fades_towards_the_ends(
     red = np.full((*SIZE, 3), NO_CORRECTION, np.uint8)
     red[:, SIZE[1] // 2 :, 0] += 10
     monkeypatch.setattr(contents, "correction_of", lambda plan, pair: red)
-    packer = TourPacker(shot.plan, ViewOptions(is_lossless=True))
+    packer = TourPacker(shot.plan, is_lossless=True)
     packer.add(shot.pair)
     file = shot.plan.job.output.with_name("corrected.html")
-    write_page(file, packer.packed())
+    write_page(file, packer.manifest(), packer.blocks.contents)
     page = WalkPage(shot.opened, file).wait()
     for yaw, t, levels in ((90, 0.5, 20), (90, 0.25, 10), (-90, 0.5, 0)):
         seen = [
@@ -251,11 +251,11 @@ def test_at_a_panorama_it_is_the_photograph(shot: Shot, end: int) -> None:
 
 
 def test_maps_are_unpacked_exactly(shot: Shot) -> None:
-    for k, surface in enumerate(shot.walk.manifest["surfaces"]):
+    for k, surface in enumerate(shot.packer.manifest()["surfaces"]):
         for name in ("inverseDepth", "quads", "trust"):
             if surface[name] is None:
                 continue
-            wanted = shot.walk.contents[surface[name]["block"]]
+            wanted = shot.packer.blocks.contents[surface[name]["block"]]
             script = f"omnisyn.page.world.blocks.map(omnisyn.page.world.walk.surfaces[{k}].{name})"
             values = np.array(shot.page.page.evaluate(f"{script}.then((map) => Array.from(map))"))
             kind = np.uint16 if surface[name]["depth"] == 2 else np.uint8

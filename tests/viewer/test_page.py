@@ -13,9 +13,9 @@ import pytest
 from interpolation_samples import CHAIN, edit_poses, listing, tour_job
 from omnisyn_cli.errors import InputError, OutputPathError, PoseError
 from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view, run_view
 from omnisyn_cli.interpolation.viewer import run as walk_run
 from omnisyn_cli.interpolation.viewer.contents import _gains
+from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 from omnisyn_cli.io import write_image
 from synthesis_samples import posed, write_hall
 from viewer.browser import serving
@@ -121,8 +121,8 @@ def test_too_little_is_refused(tmp_path: Path) -> None:
 
 
 def test_photographs_are_reduced_to_the_texture(tmp_path: Path) -> None:
-    options = ViewOptions(texture=64, is_lossless=True)
-    run_view(plan_view(tour_job(ViewJob, tmp_path, write_hall(tmp_path, CHAIN[:2]), "walk.html", options=options)))
+    options = {"texture": 64, "is_lossless": True}
+    run_view(plan_view(tour_job(ViewJob, tmp_path, write_hall(tmp_path, CHAIN[:2]), "walk.html", **options)))
     photo = manifest_of((tmp_path / "walk.html").read_text())["panoramas"][0]["photo"][-1]
     assert (photo["width"], photo["height"], photo["type"]) == (64, 32, "image/png")
 

@@ -8,7 +8,7 @@ from threading import Thread
 
 import pytest
 
-from omnisyn_cli.interpolation.viewer import served
+from omnisyn_cli.interpolation.viewer.serve import served
 
 FILES = {"index.html": b"<p>walk", "0000.bin": b"\x00\x01", "secret.txt": b"secret", ".hidden": b"secret"}
 

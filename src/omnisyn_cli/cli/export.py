@@ -8,26 +8,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import (
-    check_one_cut,
-    json_option,
-    named,
-    quiet_option,
-    surface_options,
-    tour_options,
-)
+from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation.export import ExportSummary
+    from omnisyn_cli.interpolation.export.formats import ExportSummary
 
 VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")
 """Those of sites."""
 
 FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
-"""Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
+"""Those of :data:`omnisyn_cli.interpolation.export.formats.FORMATS`, written out as ``--help`` should not load them."""
 
 
 @click.command(cls=SectionedCommand)
@@ -91,7 +84,7 @@ def export(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export
+    from omnisyn_cli.interpolation.export.formats import ExportJob, default_ending, plan_export
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
@@ -100,19 +93,17 @@ def export(
 
 
 def _load() -> Callable[..., ExportSummary]:
-    from omnisyn_cli.interpolation.export import run_export
+    from omnisyn_cli.interpolation.export.run import run_export
 
     return run_export
 
 
 def _said(summary: ExportSummary) -> str:
     """What was written, in one line."""
-    plan, what = summary.plan, f"{summary.points:,} points"
-    if plan.format == "glb":
-        what = f"{summary.triangles:,} triangles"
-    elif plan.format == "splats":
-        what = f"{summary.points:,} discs"
-    elif plan.format in VIEWERS:
-        what = f"{summary.links:,} link{'s' * (summary.links != 1)}"
-    count = len(plan.entries)
-    return f"{plan.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"
+    plan, made, form = summary.plan, summary.results, summary.plan.format
+    what = f"{made['points']:,} {'discs' if form == 'splats' else 'points'}"
+    if made["triangles"]:
+        what = f"{made['triangles']:,} triangles"
+    elif form in VIEWERS:
+        what = f"{made['links']:,} link{'s' * (made['links'] != 1)}"
+    return f"{plan.job.output}: {what} of {len(plan.entries)} panoramas in {summary.seconds['total']:.1f} s"

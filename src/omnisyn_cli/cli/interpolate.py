@@ -202,7 +202,7 @@ def interpolate(
     def plan_of(job: InterpolationJob) -> InterpolationPlan:
         plan = plan_interpolation(job)
         if budget is not None:
-            from omnisyn_cli.interpolation.planning.budget import apply_budget
+            from omnisyn_cli.interpolation.planning.duration import apply_budget
 
             plan = apply_budget(plan, budget)
         check_device(plan.config)
@@ -277,7 +277,7 @@ def _print_summary(summary: Summary, *, verbose: bool) -> None:
     if verbose:
         for stage, seconds in summary.seconds.items():
             say(f"{stage:>8}: {seconds:8.2f} s", err=True)
-        for line in summary.made.lines():
+        for line in summary.modelled_in_words():
             say(line, err=True)
     height, width = summary.plan.frame_size
     frames, total = len(summary.plan.path), summary.seconds["total"]

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import (
-    check_one_cut,
-    json_option,
-    named,
-    quiet_option,
-    surface_options,
-    tour_options,
-)
+from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -24,7 +17,7 @@ from omnisyn_cli.pipeline.config import FALLBACKS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from omnisyn_cli.interpolation.viewer import ViewSummary
+    from omnisyn_cli.interpolation.summary import TourSummary
 
 LINUX_OPENER = "xdg-open"
 """Finds the browser, or, with many lines of its own, none."""
@@ -78,13 +71,13 @@ def view(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
+    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 
     check_one_cut(options)
     if serve and not folder:
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
     given = named(options, lambda: "-walk" if folder else ".html")
-    job = ViewJob(options=ViewOptions(texture, lossless), is_folder=folder, **given)
+    job = ViewJob(texture=texture, is_lossless=lossless, is_folder=folder, **given)
     summary = run_job(
         job, plan_view, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet
     )
@@ -96,22 +89,22 @@ def view(
         _open(str((job.output / "index.html" if folder else job.output).absolute()))
 
 
-def _load() -> Callable[..., ViewSummary]:
-    from omnisyn_cli.interpolation.viewer import run_view
+def _load() -> Callable[..., TourSummary]:
+    from omnisyn_cli.interpolation.viewer.run import run_view
 
     return run_view
 
 
-def _said(summary: ViewSummary) -> str:
+def _said(summary: TourSummary) -> str:
     """What was written, in one line."""
     plan, seconds = summary.plan, summary.seconds["total"]
-    what = f"a walk through {len(plan.entries)} panoramas, {summary.size / 1e6:.1f} MB"
+    what = f"a walk through {len(plan.entries)} panoramas, {summary.results['bytes'] / 1e6:.1f} MB"
     return f"{plan.job.output}: {what}, in {seconds:.1f} s"
 
 
 def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
     """Serve a folder until somebody ends it."""
-    from omnisyn_cli.interpolation.viewer import served
+    from omnisyn_cli.interpolation.viewer.serve import served
 
     with served(folder) as (address, server):
         if not is_quiet:

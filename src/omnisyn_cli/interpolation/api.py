@@ -14,15 +14,16 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.job import OUTPUTS, InterpolationJob, TourJob
+from omnisyn_cli.interpolation.loading import known_depth
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
-from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
+from omnisyn_cli.io import MAX_PIXELS, open_video, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig, frame_size
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -70,11 +71,7 @@ def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: fl
             panorama.mask, panorama.image.shape[:2], (entry.mask,), math.radians(nadir_deg),
             allow_aspect=False, max_pixels=MAX_PIXELS,
         )  # fmt: skip
-        known = None
-        if entry.depth is not None:
-            inverse_depth = read_inverse_depth(entry.depth)
-            known = DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
-        views.append(View(panorama.image, entry.pose, mask, known))
+        views.append(View(panorama.image, entry.pose, mask, known_depth(entry)))
     return views
 
 
@@ -92,8 +89,9 @@ def estimate_depth(
     Raises InputError: a network is missing, or there is no such device.
     """
     config = _resolved(config)
-    estimator = make_estimator(config.depth, device=config.device, threads=threads)
-    return estimator(*equalize_exposure(first, second, threads))
+    return make_estimator(config.depth, device=config.device, threads=threads)(
+        *equalize_exposure(first, second, threads)
+    )
 
 
 def make_frames(
@@ -115,8 +113,8 @@ def make_frames(
         frames: at least one per panorama.
         config: name of a preset, or a config. A preset takes the depth of the views where all of them have some.
         size: of the frames, such as ``"2048x1024"``, or (width, height); that of the first panorama by default.
-        ease: ``linear`` or ``smooth``, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
-        heading: which way frames look, likewise.
+        ease: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        heading: likewise.
         estimator: finds depth in place of the config's.
         fuser: joins both renderings in place of the config's; for frames of this size.
         threads: at most this many; None is one per core.
@@ -125,8 +123,9 @@ def make_frames(
     frames than views.
     """
     path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
-    is_known = estimator is None and all(view.known_depth is not None for view in views)
-    chosen = _resolved(config).of_known_depth() if is_known and isinstance(config, str) else _resolved(config)
+    chosen = _resolved(config)
+    if isinstance(config, str) and estimator is None and all(view.known_depth is not None for view in views):
+        chosen = chosen.of_known_depth()
     height, width = views[0].image.shape[:2] if size is None else frame_size(size)
     method = make_method(chosen, (height, width), threads=threads, estimator=estimator, fuser=fuser)
     for frame in synthesize(views, path, method):
@@ -153,13 +152,8 @@ def write_video(
     kind = sample_type(Path(path), options.get("codec"))
     with open_video(path, size=first.shape[:2], fps=fps, dtype=kind, **options) as sink:
         for frame in chain([first], waiting):
-            sink.write(_samples(frame, kind))
-
-
-def _samples(frame: np.ndarray, kind: str) -> Shaped[np.ndarray, "height width 3"]:
-    if kind not in INTEGER_PEAKS:
-        return frame.astype(kind)
-    return np.asarray(np.rint(np.clip(frame, 0.0, 1.0) * INTEGER_PEAKS[kind]), kind)
+            whole = np.rint(np.clip(frame, 0.0, 1.0) * INTEGER_PEAKS[kind]) if kind in INTEGER_PEAKS else frame
+            sink.write(whole.astype(kind))
 
 
 def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | str, **options: Any) -> Summary:
@@ -186,11 +180,9 @@ def _with_options(verb: inspect.Signature) -> inspect.Signature:
     types = get_type_hints(InterpolationJob)  # without their ranges
     named = [parameter for parameter in verb.parameters.values() if parameter.kind is not parameter.VAR_KEYWORD]
     options = [
-        inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=types[field.name]
-        )
-        for field in fields(InterpolationJob)
-        if field.name not in verb.parameters
+        inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=types[each.name])
+        for each in fields(InterpolationJob)
+        if each.name not in verb.parameters
     ]
     return verb.replace(parameters=[*named, *options])
 

@@ -6,15 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import (
-    CHOICES,
-    OUTPUTS,
-    InterpolationJob,
-    TourJob,
-    depth_files,
-    reading_of,
-    targets,
-)
+from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob, TourJob, depth_files, reading_of, targets
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size
@@ -35,12 +27,7 @@ MAX_NADIR_RADIANS = math.radians(90.0)
 
 
 def check_names(job: TourJob) -> None:
-    """Refuse names that cannot be used.
-
-    File names that are not text (bytes from another encoding) cannot be handed to the image libraries.
-
-    Raises InputError: one is no UTF-8; OutputPathError: the system cannot give it to anything.
-    """
+    """Refuse names that are no UTF-8 (InputError), which image libraries do not take, or no names (OutputPathError)."""
     outputs = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
     for path in (*job.images, *job.masks, job.poses, *outputs):
         name = str(path)
@@ -51,12 +38,7 @@ def check_names(job: TourJob) -> None:
 
 
 def check_choices(job: TourJob) -> None:
-    """Refuse what the command line does not offer as a choice, for those who call the library.
-
-    Raises:
-        InputError: an unknown name, two rules for cuts, another number of masks than of panoramas, or a cap of a
-            hemisphere or more.
-    """
+    """Refuse (InputError) what the command line does not offer as a choice, for those who call the library."""
     for name, known in CHOICES.items():
         if (value := getattr(job, name, known[0])) not in known:
             raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
@@ -75,16 +57,10 @@ def check_choices(job: TourJob) -> None:
 
 
 def check_method(job: InterpolationJob) -> None:
-    """Refuse options that only say how this program's own frames are made beside another method.
-
-    Raises InputError: there is one.
-    """
-    if METHODS[job.method].draws_surfaces:
-        return
+    """Refuse (InputError) options that only say how this program's own frames are made beside another method."""
     defaults = InterpolationJob(job.images, job.poses, job.output)
-    for name in SURFACE_FIELDS:
-        chosen = getattr(job, name)
-        if chosen != getattr(defaults, name):
+    for name in () if METHODS[job.method].draws_surfaces else SURFACE_FIELDS:
+        if (chosen := getattr(job, name)) != getattr(defaults, name):
             raise InputError(
                 f"expected no {name.replace('_', '-')} with the method {job.method}, which leaves none to choose, got "
                 f"{chosen}; leave it out, or take the method {OMNISYN}"
@@ -92,10 +68,7 @@ def check_method(job: InterpolationJob) -> None:
 
 
 def check_view(job: InterpolationJob) -> None:
-    """Refuse what does not go with a flat view or with both eyes, and what only goes with one.
-
-    Raises InputError: there is one.
-    """
+    """Refuse (InputError) what does not go with a flat view or with both eyes, and what only goes with one."""
     is_flat, is_stereo = job.projection == "flat", job.stereo != "mono"
     kind = "--view flat" if is_flat else "--stereo top-bottom" if is_stereo else "a 360° video"
     unfit = {
@@ -135,11 +108,10 @@ def check_companions(
 
 
 def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
-    """Refuse places and sizes that nothing could be written to or in.
+    """Refuse what cannot be written.
 
-    Raises:
-        InputError: the size is not 2:1 or too large, or nothing that the encoder can do.
-        OutputPathError: a place exists already, cannot be written to, or is that of another output.
+    Raises InputError: the size is not 2:1, too large, or nothing for the encoder; OutputPathError: a place exists
+    already, cannot be written to, or is that of another output.
     """
     if size[1] != 2 * size[0] and job.projection != "flat":
         raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")

@@ -21,11 +21,7 @@ Finding them takes 0.5 s of one core for a mesh of 1024×512, each frame of 1024
 
 
 def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
-    """What the surfaces of a job are made with: what it says, else its preset.
-
-    Args:
-        job: what is asked for.
-        entries: the pose file's entry of every panorama.
+    """What the surfaces of a job are made with, given its panoramas' entries: what it says, else its preset.
 
     Raises PoseError: depth is to come from files, and the pose file does not name one for every panorama;
     InputError: a network where none has a part, or none where one has.
@@ -57,11 +53,13 @@ def video_config(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Run
     if not METHODS[job.method].draws_surfaces:
         return RunConfig(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
     defaults, surfaces = PRESETS[job.preset].config, surface_config(job, entries)
+    # the preset's fusion only where depth is found as it says: no network saw renderings of other depth
+    fusion = defaults.fusion if surfaces.depth.kind == defaults.depth.kind else "geometric"
     config = replace(
         surfaces,
         renderer=defaults.renderer if job.renderer == "auto" else job.renderer,
         adaptive=defaults.adaptive if job.adaptive is None else job.adaptive,
-        fusion=_fusion(job, surfaces.depth.kind, defaults), fusion_rows=defaults.fusion_rows, edges=defaults.edges,
+        fusion=fusion if job.fusion == "auto" else job.fusion, fusion_rows=defaults.fusion_rows, edges=defaults.edges,
         confidence=job.save_confidence is not None,
     )  # fmt: skip
     if job.projection == "flat":  # networks and edge pixels know panoramas alone
@@ -71,17 +69,15 @@ def video_config(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Run
 
 def for_frames(config: RunConfig, job: InterpolationJob, frames: int) -> RunConfig:
     """The config for so many frames: with fewer triangles, if nobody says otherwise, where that saves time."""
-    if job.adaptive is not None:
-        return config
     is_worth_it = frames > MIN_FRAMES_TO_SIMPLIFY * (len(job.images) - 1)
-    return replace(config, adaptive=config.adaptive and is_worth_it)
+    return config if is_worth_it or job.adaptive is not None else replace(config, adaptive=False)
 
 
 def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: RunConfig) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
         return defaults.depth.kind if without or job.model is not None else "file"
-    if job.depth != "auto" and DEPTH_SOURCES[job.depth].reads_files and without:
+    if DEPTH_SOURCES[job.depth].reads_files and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
             "name one or choose another depth method"
@@ -120,17 +116,7 @@ def _prior(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
     return None if job.depth_prior == "none" else job.depth_prior
 
 
-def _fusion(job: InterpolationJob, kind: str, defaults: RunConfig) -> str:
-    """What the job says, else its preset where depth is found as it says: no network saw renderings of other depth."""
-    if job.fusion != "auto":
-        return job.fusion
-    return defaults.fusion if kind == defaults.depth.kind else "geometric"
-
-
 def check_device(config: RunConfig) -> None:
-    """Refuse a device that this machine does not have; a plan alone may be for another one.
-
-    Raises InputError: there is no such device here.
-    """
+    """Refuse (InputError) a device that this machine does not have; a plan alone may be for another one."""
     if config.device == "cuda" and config.networks:
         check_device_of_networks(config.device)

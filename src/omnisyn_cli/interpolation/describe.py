@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,9 @@ from omnisyn_cli.io.images import read_panorama
 from omnisyn_cli.io.spherical import read_spherical
 from omnisyn_cli.poses.file import read_poses
 
-VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
-"""Files that FFmpeg describes."""
-
 BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
-"""Files of ISO boxes, which can hold spherical metadata."""
+VIDEO_SUFFIXES = (*BOXED_SUFFIXES, ".mkv", ".webm", ".avi")
+"""Files of ISO boxes, which can hold spherical metadata; files that FFmpeg describes."""
 
 PROBE_SECONDS = 60
 """After which FFmpeg is given up. Set by hand."""
@@ -35,13 +34,10 @@ DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
 
 
 def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False) -> dict[str, Any]:
-    """Describe a file by its kind, which is told by its ending (and, for images, by its channels).
+    """The ``kind`` of a file (``panorama``, ``depth``, ``poses`` or ``video``), by its ending and channels, and more.
 
     Images of more than ``max_pixels`` are not decoded; with ``allow_outside`` depth and masks may lie outside of a pose
     file's folder.
-
-    Returns:
-        ``kind`` (``panorama``, ``depth``, ``poses`` or ``video``) and what belongs to it.
 
     Raises InputError: missing, damaged, or a video without a video stream; PoseError: a pose file that cannot be used.
     """
@@ -56,23 +52,17 @@ def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outsi
 
 
 def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
-    description: dict[str, Any] = {
-        "kind": "panorama",
-        "format": header.format,
-        "width": header.width,
-        "height": header.height,
-        "samples": header.dtype,
-        "channels": list(header.channels),
-        "has_alpha": header.alpha_channel >= 0,
-        "orientation": header.orientation,
-        "has_more_pictures": header.has_more_pictures,
-        "gpano": {
-            name.removeprefix("GPano:"): value if isinstance(value, int | float) else str(value)
-            for name, value in header.attributes.items()
-            if name.startswith("GPano:")
-        },
-        "gps": geographic_place(header),
+    gpano = {
+        name.removeprefix("GPano:"): value if isinstance(value, int | float) else str(value)
+        for name, value in header.attributes.items()
+        if name.startswith("GPano:")
     }
+    description: dict[str, Any] = {
+        "kind": "panorama", "format": header.format, "width": header.width, "height": header.height,
+        "samples": header.dtype, "channels": list(header.channels), "has_alpha": header.alpha_channel >= 0,
+        "orientation": header.orientation, "has_more_pictures": header.has_more_pictures, "gpano": gpano,
+        "gps": geographic_place(header),
+    }  # fmt: skip
     try:
         panorama = read_panorama(header.path, max_pixels=max_pixels)
     except ImageError as error:
@@ -98,15 +88,12 @@ def _describe_depth(path: Path, max_pixels: int) -> dict[str, Any]:
     depth = read_depth(path, max_pixels=max_pixels)
     finite = depth[np.isfinite(depth)]
     height, width = depth.shape
+    metres: dict[str, Callable[..., Any]] = {"nearest": np.min, "median": np.median, "farthest": np.max}
     return {
-        "kind": "depth",
-        "width": width,
-        "height": height,
-        "nearest_metres": float(finite.min()) if finite.size else None,
-        "median_metres": float(np.median(finite)) if finite.size else None,
-        "farthest_metres": float(finite.max()) if finite.size else None,
+        "kind": "depth", "width": width, "height": height,
+        **{f"{which}_metres": float(of(finite)) if finite.size else None for which, of in metres.items()},
         "infinite_share": 1.0 - finite.size / depth.size,
-    }
+    }  # fmt: skip
 
 
 def _describe_poses(path: Path, allow_outside: bool) -> dict[str, Any]:
@@ -141,16 +128,13 @@ def _describe_video(path: Path) -> dict[str, Any]:
     fps, duration = stream["fps"], DURATION.search(report)
     hours, minutes, seconds = map(float, duration.groups()) if duration else (0.0, 0.0, 0.0)
     return {
-        "kind": "video",
-        "codec": stream["codec"],
-        "pixel_format": stream["pixel_format"],
-        "width": int(stream["width"]),
-        "height": int(stream["height"]),
+        "kind": "video", "codec": stream["codec"], "pixel_format": stream["pixel_format"],
+        "width": int(stream["width"]), "height": int(stream["height"]),
         "fps": float(fps.replace("k", "e3")) if fps else None,
         "duration_seconds": hours * 3600 + minutes * 60 + seconds if duration else None,
         "colour": [part.strip() for part in (stream["colour"] or "").split(",") if part.strip()],
         "spherical": _describe_spherical(path),
-    }
+    }  # fmt: skip
 
 
 def _describe_spherical(path: Path) -> dict[str, Any] | None:
@@ -158,12 +142,9 @@ def _describe_spherical(path: Path) -> dict[str, Any] | None:
         return None
     metadata = read_spherical(path)
     return {
-        "version_1": metadata.has_version_1,
-        "version_2": metadata.has_version_2,
-        "projection": metadata.projection,
-        "stereo_mode": metadata.stereo_mode,
-        "software": metadata.software,
-    }
+        "version_1": metadata.has_version_1, "version_2": metadata.has_version_2, "projection": metadata.projection,
+        "stereo_mode": metadata.stereo_mode, "software": metadata.software,
+    }  # fmt: skip
 
 
 def _ffmpeg_report(path: Path) -> str:

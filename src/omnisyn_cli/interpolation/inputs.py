@@ -16,14 +16,10 @@ from omnisyn_cli.poses.tour_file import TOUR_NAME, read_tour
 
 @dataclass(frozen=True)
 class NamedTour:
-    """Panoramas in walking order, as they were named.
+    """Panoramas in walking order, as they were named, with their pose file (or ``POSES_FROM_PICTURES``).
 
-    Attributes:
-        images: the panoramas.
-        poses: their pose file, or :data:`omnisyn_cli.interpolation.job.POSES_FROM_PICTURES`.
-        name: of the folder that was named, else ``first-last``.
-        tour: the folder's ``tour.json``, or the one beside the first panorama; None where there is none.
-        is_chain: whether panoramas were named one by one, so that each leads to the next one.
+    The name is that of the folder that was named, else ``first-last``; ``tour`` is the ``tour.json`` in that folder, or
+    beside the first panorama. They are a chain, each of which leads to the next one, where they were named one by one.
     """
 
     images: tuple[Path, ...]
@@ -35,50 +31,40 @@ class NamedTour:
     def output(self, ending: str) -> Path:
         """The name, in the current folder, of what is made of the tour if nobody chooses one.
 
-        Args:
-            ending: ``.mp4`` and the like for a file; for a folder what tells it from that of the panoramas, such as
-                ``-frames``. Such a name has no dot and no percent sign, which would make a file or a pattern of it.
+        The ending is ``.mp4`` and the like for a file. For a folder it tells it from that of the panoramas, such as
+        ``-frames``; such a name has no dot and no percent sign, which would make a file or a pattern of it.
         """
         name = self.name if ending.startswith(".") else re.sub(r"[.%]", "_", self.name)
         return Path(name + ending)
 
 
 def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outside: bool = False) -> NamedTour:
-    """The tour that is meant by panoramas, or by a folder with a pose file.
+    """The tour that is meant by panoramas in walking order, or by one folder.
 
-    Args:
-        given: panoramas in walking order; or one folder, of which those are taken that its pose file names, in its
-            order. Without a pose file all of its pictures are, in the natural order of their names.
-        poses: the pose file; None is ``poses.json`` in the folder, or beside the first panorama.
-        allow_outside: accept depth and masks that it names outside of its folder.
+    Of a folder those are taken that its pose file names, in its order; for poses from the pictures all of them, in the
+    natural order of their names. The pose file is ``poses.json`` beside them by default; with ``allow_outside`` it may
+    name depth and masks outside of its folder.
 
     Raises InputError: a folder without a pose file or among other names, or a panorama that is named there is missing.
     """
     folder = next((path for path in given if path.is_dir()), None)
+    place = folder or given[0].parent
+    tour = place / TOUR_NAME if (place / TOUR_NAME).exists() else None
     if folder is None:
-        name, place = f"{given[0].stem}-{given[-1].stem}", given[0].parent
-        return NamedTour(tuple(given), poses or place / POSES_NAME, name, _tour_file_in(place))
+        return NamedTour(tuple(given), poses or place / POSES_NAME, f"{given[0].stem}-{given[-1].stem}", tour)
     if len(given) > 1:
         raise InputError(
             f"{folder}: expected panoramas, or one folder alone, got a folder among {len(given)} names; name the "
             "panoramas in it one by one"
         )
     images, poses = _in_folder(folder, poses, allow_outside)
-    return NamedTour(images, poses, real_path(folder).name or "tour", _tour_file_in(folder), is_chain=False)
-
-
-def _tour_file_in(folder: Path) -> Path | None:
-    file = folder / TOUR_NAME
-    return file if file.exists() else None
+    return NamedTour(images, poses, real_path(folder).name or "tour", tour, is_chain=False)
 
 
 def along_path(tour: NamedTour, path: str, *, allow_outside: bool = False) -> NamedTour:
     """The part of a tour that a path through its links names: the shortest way through some panoramas.
 
-    Args:
-        tour: panoramas with a pose file.
-        path: names of two or more panoramas in walking order, with or without endings, separated by commas.
-        allow_outside: as for :func:`named_tour`.
+    ``path`` has names of two or more panoramas in walking order, with or without endings, separated by commas.
 
     Raises InputError: there is no pose file, no such panorama, or no links lead from one to the next.
     """

@@ -1,21 +1,34 @@
-"""Panoramas with their masks and depth, read from files when they are needed and held as small as they can be."""
+"""Panoramas with their masks and depth, read from files when they are needed; and the surfaces that are made of them.
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+:func:`tour_surfaces` goes through the pairs of neighbours as ``interpolate`` does, with the same poses, masks, depth
+and preset; :func:`panorama_surfaces` is for what wants the surface of each panorama once.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
+from itertools import chain, groupby
 from weakref import ref
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import reading_of
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.io import Panorama, read_inverse_depth
+from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
+from omnisyn_cli.io import MAX_PIXELS, Panorama, read_inverse_depth, read_panorama
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
+from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import PosedPanorama
-from omnisyn_cli.types import DepthEstimate, View
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.synthesis.chain_depth import ChainDepth
+from omnisyn_cli.synthesis.consistency import CrossCheck
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, drawn_surfaces, measure_pair, usable_image
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 PanoramaReader = Callable[..., Panorama]
 """Called as :func:`omnisyn_cli.io.read_panorama` is: with a path and its keywords."""
@@ -106,7 +119,7 @@ def _read_companions(
         allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
         reading=replace(reading_of(job), view_transform=False, size=plan.source_sizes[index]),
     )  # fmt: skip
-    return mask, _known_depth(plan, entry)
+    return mask, known_depth(entry, job.max_pixels) if plan.config.depth.strategy.reads_files else None
 
 
 def _find_camera_fixed(
@@ -118,12 +131,10 @@ def _find_camera_fixed(
     second: int,
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """What moves with the camera in two neighbours, ``still`` that in all panoramas."""
-    views = [
-        View(panorama_of(index).image(), plan.entries[index].pose, companions_of(index)[0]) for index in (first, second)
-    ]
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
-    return find_camera_fixed(views[0], views[1], still())
+    a, b = (View(panorama_of(k).image(), plan.entries[k].pose, companions_of(k)[0]) for k in (first, second))
+    return find_camera_fixed(a, b, still())
 
 
 def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:
@@ -138,8 +149,119 @@ def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:
     )
 
 
-def _known_depth(plan: TourPlan, entry: PosedPanorama) -> DepthEstimate | None:
-    if not plan.config.depth.strategy.reads_files or entry.depth is None:
+def known_depth(entry: PosedPanorama, max_pixels: int = MAX_PIXELS) -> DepthEstimate | None:
+    """What the depth file of a panorama says, if it has one. ImageError: it is damaged, or has more pixels."""
+    if entry.depth is None:
         return None
-    inverse_depth = read_inverse_depth(entry.depth, max_pixels=plan.job.max_pixels)
+    inverse_depth = read_inverse_depth(entry.depth, max_pixels=max_pixels)
     return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
+
+
+@dataclass(frozen=True)
+class PanoramaSurface:
+    """A posed panorama, by its index in the job, and its surface.
+
+    Depth (1/metre and confidence) has a resolution of its own. The mesh is in the frame of the panorama and cut by the
+    config's rule; masked vertices have no surface.
+    """
+
+    index: int
+    view: View
+    depth: DepthEstimate
+    mesh: Mesh
+
+    def texture(self) -> Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]:
+        """The photograph, with masked pixels painted over from around them: samples of 8 bits, or RGB in [0, 1]."""
+        return usable_image(self.view, SynthesisOptions(self.mesh.size))
+
+    def samples(self, columns: int | None = None) -> UInt8[np.ndarray, "rows cols 3"]:
+        """That in 8 bits, at most so many columns wide."""
+        return quantized_picture(self.texture(), columns)
+
+
+def quantized_picture(picture: np.ndarray, columns: int | None) -> UInt8[np.ndarray, "rows cols 3"]:
+    """A panorama, samples of 8 bits or RGB in [0, 1], in 8 bits and at most so many columns wide."""
+    if picture.dtype != np.uint8:
+        picture = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+    if columns is None or picture.shape[1] <= columns:
+        return picture
+    return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
+
+
+@dataclass(frozen=True)
+class PairSurfaces:
+    """The surfaces of two neighbours, by the index of the pair in the plan: in a chain that of its first panorama.
+
+    The cross-check says how differently they are exposed, and how far what is made of them can be relied on. Soft ones
+    are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
+    """
+
+    index: int
+    surfaces: tuple[PanoramaSurface, PanoramaSurface]
+    cross_check: CrossCheck
+    is_soft: bool = False
+
+
+def tour_surfaces(
+    plan: TourPlan,
+    summary: TourSummary | None = None,
+    *,
+    estimator: DepthEstimator | None = None,
+    clock: Stopwatch | None = None,
+) -> Iterator[PairSurfaces]:
+    """The surfaces of every pair of the plan, one pair at a time, in order.
+
+    The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. An
+    estimator finds depth in place of that of the plan's config, of which depth, cut and device matter.
+
+    Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
+    doubtful and the fallback is to give up.
+    """
+    clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
+    loader = Loader(plan, clock, read_panorama)
+    estimator = estimator or make_estimator(config.depth, device=config.device, threads=threads)
+    tour = ChainDepth(loader, estimator, clock, threads, plan.pairs)
+    for index, (first, second) in enumerate(plan.pairs):
+        with limited_threads(threads):
+            views = loader[first], loader[second]
+            size, cut = min(view.image.shape[:2] for view in views), Cut(config.cut, config.cut_metres)
+            depths, check = measure_pair(index, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
+            with clock("mesh"):
+                pair = pair_surfaces(plan, index, views, depths, check)
+        refuse_doubtful(plan, index, check.confidence)
+        if summary is not None:
+            summary.pairs[index] = check.confidence
+            summary.left_out.update(loader.left_out)
+            if pair.is_soft:
+                summary.soft_pairs.append(index)
+        yield pair
+
+
+def pair_surfaces(
+    plan: TourPlan, index: int, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
+) -> PairSurfaces:
+    """The surfaces of a pair whose depth is known; the plan's config says where they are cut, and whether softly."""
+    cut, softens = Cut(plan.config.cut, plan.config.cut_metres), plan.config.fallback == "soft"
+    views, depths, cut, is_soft = drawn_surfaces(views, depths, check, cut, softens=softens)
+    first, second = (
+        PanoramaSurface(place, view, depth, mesh_of(view, depth, depth.inverse_depth, cut))
+        for place, view, depth in zip(plan.pairs[index], views, depths, strict=True)
+    )
+    return PairSurfaces(index, (first, second), check, is_soft)
+
+
+def mesh_of(view: View, depth: DepthEstimate, inverse_depth: Float[np.ndarray, "rows cols"], cut: Cut) -> Mesh:
+    """A mesh of inverse depth (1/metre) with the view's mask and the confidence of its depth."""
+    mask = mask_of_vertices(view.mask, inverse_depth.shape)
+    return build_mesh(inverse_depth, cut, mask, depth.confidence)
+
+
+def panorama_surfaces(pairs: Iterator[PairSurfaces]) -> Iterator[PanoramaSurface]:
+    """One surface of every panorama, in order, as soon as all its pairs (:func:`tour_surfaces`) are there.
+
+    Both pairs of one inside a chain have the same, but for a pair at one place, which has next to nothing: the one of
+    more vertices is taken.
+    """
+    every = chain.from_iterable(pair.surfaces for pair in pairs)
+    for _, found in groupby(every, key=lambda surface: surface.index):
+        yield max(found, key=lambda surface: surface.depth.inverse_depth.size)

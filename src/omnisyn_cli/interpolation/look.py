@@ -18,14 +18,10 @@ LOOK_AHEAD, LOOK_FIRST = "ahead", "first"
 
 
 def look_along(path: Sequence[Waypoint], first: Pose, look: str) -> tuple[Waypoint, ...]:
-    """The same way, with level pictures that look as ``look`` says.
+    """A path that looks along the way, with level pictures that look as ``look`` says.
 
-    Args:
-        path: planned to look along the way.
-        first: pose of the first panorama.
-        look: ``ahead``, ``first``, ``YAW,PITCH`` in degrees, or the name of a file of keyframes.
-
-    Raises InputError: none of these, or a malformed file.
+    That is ``ahead``, ``first`` (as the first panorama does), ``YAW,PITCH`` in degrees, or the name of a file of
+    keyframes. Raises InputError: none of these, or a malformed file.
     """
     if look == LOOK_AHEAD:
         return tuple(path)

@@ -9,14 +9,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.summary import TourSummary
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.estimation import PairDiagnosis, PictureOptions, check_poses
@@ -41,10 +40,9 @@ def write_pair_report(job: TourJob) -> TourPlan:
     plan = plan_tour(job)
     poses = PoseFile(job.poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)))
     options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0)
-    scores: dict[int, PairConfidence] = {}
     pairs = [
-        _described(plan, pair, scores[pair.index], diagnosis)
-        for pair, diagnosis in zip(tour_surfaces(plan, scores), check_poses(job.images, poses, options), strict=True)
+        _described(plan, pair, diagnosis)
+        for pair, diagnosis in zip(tour_surfaces(plan), check_poses(job.images, poses, options), strict=True)
     ]
     loader = PackageLoader("omnisyn_cli.interpolation", "templates")
     page = Environment(loader=loader, undefined=StrictUndefined, autoescape=True).get_template("pairs.html.j2")
@@ -53,14 +51,14 @@ def write_pair_report(job: TourJob) -> TourPlan:
     return plan
 
 
-def _described(plan: TourPlan, pair: PairSurfaces, score: PairConfidence, diagnosis: PairDiagnosis) -> dict[str, Any]:
+def _described(plan: TourPlan, pair: PairSurfaces, diagnosis: PairDiagnosis) -> dict[str, Any]:
     """What the page shows of a pair."""
-    views = [surface.view for surface in pair.surfaces]
-    kinds = _kinds(diagnosis)
-    matched = (diagnosis.matches.first, diagnosis.matches.second)
+    estimate, matched = diagnosis.diagnosis.estimate, (diagnosis.matches.first, diagnosis.matches.second)
+    agrees = np.zeros(len(diagnosis.matches), bool) if estimate is None else estimate.inliers
+    kinds = np.select([diagnosis.fits, agrees], ["fits", "contradicts"], "mismatch").tolist()
     first, second = pair.surfaces
     height = height_in_depth((first.view.pose, second.view.pose), (first.depth, second.depth))
-    summary = TourSummary(plan, {}, {pair.index: score})
+    summary = TourSummary(plan, pairs={pair.index: pair.cross_check.confidence})
     return {
         "title": f"{diagnosis.first.name} and {diagnosis.second.name}",
         "lines": [
@@ -73,19 +71,12 @@ def _described(plan: TourPlan, pair: PairSurfaces, score: PairConfidence, diagno
                 "name": plan.job.images[surface.index].name,
                 "photograph": _jpeg(surface.samples(PICTURE_COLUMNS)),
                 "marks": [(*place, kind) for place, kind in zip(_places(directions), kinds, strict=True)],
-                "epipoles": _epipoles(surface.view, other),
+                "epipoles": _epipoles(surface.view, other.view),
                 **_depth(surface),
             }
-            for surface, directions, other in zip(pair.surfaces, matched, views[::-1], strict=True)
+            for surface, directions, other in zip(pair.surfaces, matched, pair.surfaces[::-1], strict=True)
         ],
     }
-
-
-def _kinds(diagnosis: PairDiagnosis) -> list[str]:
-    """What each match agrees with, as a class of the page."""
-    estimate = diagnosis.diagnosis.estimate
-    agrees = np.zeros(len(diagnosis.matches), bool) if estimate is None else estimate.inliers
-    return [str(kind) for kind in np.select([diagnosis.fits, agrees], ["fits", "contradicts"], "mismatch")]
 
 
 def _places(directions: Float[np.ndarray, "n 3"]) -> Iterator[tuple[float, float]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
@@ -16,12 +16,7 @@ from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.configs import for_frames, surface_config, video_config
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
-from omnisyn_cli.interpolation.planning.memory import (
-    Footprint,
-    estimated_memory,
-    estimated_surface_memory,
-    fuses_chain_depth,
-)
+from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
@@ -39,11 +34,8 @@ from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, pla
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
 
-FLAT_SIZE = (1080, 1920)
-"""Height and width of a flat video unless the user says otherwise."""
-
-DEFAULT_FOV = math.radians(90.0)
-"""Of a flat video."""
+FLAT_SIZE, DEFAULT_FOV = (1080, 1920), math.radians(90.0)
+"""Of a flat video, unless the user says otherwise: height and width, and the angle that its width spans."""
 
 MAX_PLAUSIBLE_BASELINE_METRES = 100.0
 """Farther apart, panoramas have nothing in common: more is worth a note."""
@@ -54,18 +46,12 @@ LIKELY_SIZE = (512, 1024)
 MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
-
-READING_SHARE = 2
-"""Rows of a panorama for each row of a frame that are read: a frame near a surface magnifies it."""
-
-MIN_READING_ROWS = 2048
-"""Rows to which panoramas are reduced at the most: depth of more is not more accurate."""
+READING_SHARE, MIN_READING_ROWS, MIN_REDUCTION = 2, 2048, 1.25
+"""Rows of a panorama for each row of a frame that are read, as a frame near a surface magnifies it. Rows to which they
+are reduced at the most: depth of more is not more accurate. Factor below which a panorama is read as it is."""
 
 MAX_KEPT_NEIGHBOURS = 3
 """Of a panorama at a crossing, besides the pair at work; others are read again."""
-
-MIN_REDUCTION = 1.25
-"""Factor below which a panorama is read as it is."""
 
 CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}
 """As people write them."""
@@ -107,7 +93,7 @@ class TourPlan:
     @property
     def looks_ahead(self) -> bool:
         """Whether depth of a panorama comes from all its neighbours, for which other pairs are compared as well."""
-        return fuses_chain_depth(self.config, len(self.entries))
+        return self.config.estimates_depth and len(self.entries) > 2
 
     @property
     def views_at_once(self) -> int:
@@ -123,34 +109,38 @@ class TourPlan:
         counts = Counter(view for pair in apart for view in pair)
         return sum(count > 1 for count in counts.values()) if self.looks_ahead else 0
 
-    def describe(self) -> dict[str, Any]:
-        """The plan as plain values, for people and for JSON."""
-        raise NotImplementedError
+    @property
+    def memory_estimate(self) -> MemoryEstimate:
+        """What memory is estimated from."""
+        files = [entry.depth for entry in self.entries if entry.depth is not None]
+        depth, rows = self.config.depth, max(height for height, _ in self.source_sizes)
+        surfaces = depth.strategy.grid_sizes(depth, rows, files)
+        return MemoryEstimate(self.job, self.config, self.source_sizes, surfaces, self.looks_ahead)
+
+    def pairs_at_one_place(self) -> Iterator[tuple[str, bool]]:
+        """For neighbours without a way between them words that say so, and whether they are turned to each other."""
+        for a, b in self.pairs:
+            first, second = self.entries[a].pose, self.entries[b].pose
+            if at_same_position(first, second):
+                names = f"{self.job.images[a].name} and {self.job.images[b].name}"
+                yield f"{names} have the same position", not second.almost_equals(first)
 
     def what(self) -> str:
         """What is made, in a few words."""
         return f"{self.job.output.name} of {len(self.entries)} panoramas"
 
     def in_words(self, values: Mapping[str, Any]) -> str:
-        """What is made, how long that takes and how much memory, in one line for people.
-
-        Args:
-            values: those of :meth:`describe`, with ``expected_words`` where the time is known.
-        """
+        """The values of :meth:`describe`, with ``expected_words`` where the time is known, in one line for people."""
         memory = f"{values['memory_mib'] * 2**20 / 1e9:.1f} GB of memory"
         return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory)))
 
-    def described(
-        self, before: Mapping[str, Any], memory: int, after: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
-        """The plan as plain values, for people and for JSON.
+    def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
+        """What :meth:`describe` says of the thing that is made: before how depth is found, after it, and its memory."""
+        return {}, {}, self.memory_estimate.of_surfaces(Footprint())
 
-        Args:
-            before: what is said before how depth is found.
-            memory: bytes that will be taken.
-            after: what is said after it.
-        """
-        config = self.config
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        config, (before, after, memory) = self.config, self.details()
         is_own = config.draws_surfaces
         return {
             "inputs": [str(image) for image in self.job.images],
@@ -161,7 +151,7 @@ class TourPlan:
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
             "depth_prior": (config.depth.prior or "none") if self.job.depth_prior is not None else "",
             "joined_depths": self.fused_depths,
-            **(after or {}),
+            **after,
             "memory_mib": round(memory / 2**20),
             "notes": list(self.notes),
         }
@@ -174,15 +164,18 @@ class InterpolationPlan(TourPlan):
     Attributes:
         size: (height, width) of the video, or of what one eye sees.
         path: a waypoint for every frame.
-        length: metres from the first panorama to the last.
         memory: bytes that the pictures and buffers will take, estimated.
     """
 
     job: InterpolationJob
     size: tuple[int, int]
     path: tuple[Waypoint, ...]
-    length: float
-    memory: int
+    memory: int = 0
+
+    @property
+    def length(self) -> float:
+        """Metres from the first panorama to the last."""
+        return path_length([entry.pose for entry in self.entries])
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -197,8 +190,12 @@ class InterpolationPlan(TourPlan):
         codec = CODEC_NAMES[self.job.codec or "h264"]
         return f"{frames / self.job.fps:.3g} s of {width}x{height} {codec}, {frames} frames"
 
-    def describe(self) -> dict[str, Any]:
-        """See :meth:`TourPlan.described`."""
+    def with_memory(self) -> Self:
+        """With its memory estimated."""
+        return replace(self, memory=self.memory_estimate.of_frames(self.job, self.size))
+
+    def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
+        """See :meth:`TourPlan.details`."""
         (height, width), config, job = self.frame_size, self.config, self.job
         is_own = config.draws_surfaces
         video = {
@@ -210,7 +207,7 @@ class InterpolationPlan(TourPlan):
             "fusion": config.fusion if is_own else "",
             "view": "" if job.view is None else str(job.view), "path_metres": round(self.length, 4),
         }  # fmt: skip
-        return self.described(video, self.memory, drawn)
+        return video, drawn, self.memory
 
 
 def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
@@ -241,10 +238,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         path = look_along(path, poses[0], job.look or LOOK_AHEAD)
     return InterpolationPlan(
         job, entries, sources, config,
-        (*tour.notes, *_notes_about_video(tour, config), *_notes_about_size(job, tour.source_sizes, sources)),
-        tour.tour, size, path, path_length(poses),
-        estimated_memory(job, config, size, sources, _surface_sizes(config, sources, entries)),
-    )  # fmt: skip
+        (*tour.notes, *_notes_about_video(tour, config, job, sources)),
+        tour.tour, size, path,
+    ).with_memory()  # fmt: skip
 
 
 def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -271,9 +267,7 @@ def plan_tour(
 ) -> TourPlan:
     """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
 
-    Args:
-        job: what is asked for.
-        config_of: what surfaces and frames are made with, given the pose file's entry of every panorama.
+    ``config_of`` says what they are made with, given the pose file's entry of every panorama.
 
     Raises InputError: a file is missing, poses do not fit, an option makes no sense.
     """
@@ -290,39 +284,18 @@ def plan_tour(
     config = _installed(config_of(job, entries))
     checks.check_companions(job, entries, source_sizes, config)
     title = f"{job.images[0].stem} – {job.images[-1].stem}"
-    tour = read_tour(
-        job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside
-    )  # fmt: skip
+    tour = read_tour(job.tour, job.images, pose_file, title, is_chain=job.is_chain, allow_outside=job.allow_outside)
     for picture in (*tour.hotspot_pictures, *([] if tour.plan is None else [tour.plan.image])):
         read_header(picture)  # before depth is found, which takes long
     plan = TourPlan(job, entries, source_sizes, config, (), tour)
-    about_places, about_depth = _notes_about_baselines(plan), _notes_about_depth(job, entries, config)
-    return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *about_places, *about_depth))
-
-
-def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
-    """Bytes that something made of the surfaces of a tour will take, estimated."""
-    surfaces = _surface_sizes(tour.config, tour.source_sizes, tour.entries)
-    return estimated_surface_memory(tour.job, tour.config, tour.source_sizes, surfaces, footprint)
-
-
-def vertices_of_surface(tour: TourPlan) -> int:
-    """Of the largest surface of a tour."""
-    return max(rows * cols for rows, cols in _surface_sizes(tour.config, tour.source_sizes, tour.entries))
+    return replace(plan, notes=(*remarks, *_notes_about_pictures(job), *_notes_about_places_and_depth(plan)))
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
-    """The plan with another preset; its poses are not looked for again.
-
-    Raises InputError: the preset's network is not installed.
-    """
+    """The plan with another preset, whose networks are there (InputError); its poses are not looked for again."""
     job = replace(plan.job, preset=preset)
     config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
-    surfaces = _surface_sizes(config, plan.source_sizes, plan.entries)
-    return replace(
-        plan, job=job, config=config,
-        memory=estimated_memory(job, config, plan.size, plan.source_sizes, surfaces),
-    )  # fmt: skip
+    return replace(plan, job=job, config=config).with_memory()
 
 
 def _installed(config: RunConfig) -> RunConfig:
@@ -348,17 +321,18 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     if not is_found:
         given = read_poses(job.poses, allow_outside=job.allow_outside)
         refined = refine_poses(job.images, given, options)
-        remarks = (*notes_of_place(job.images, job.poses), *refined.notes)
-        return job, replace(given, panoramas=refined.panoramas), remarks
+        notes = (*notes_of_place(job.images, job.poses), *refined.notes)
+        return job, replace(given, panoramas=refined.panoramas), notes
     found = estimate_poses(
         job.images, () if job.baseline is None else (job.baseline,), options,
         camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
     )  # fmt: skip
-    order = [job.images.index(image) for image in found.order]
-    job = replace(
-        job, images=tuple(job.images[k] for k in order), masks=tuple(job.masks[k] for k in order if job.masks)
+    masks = tuple(job.masks[job.images.index(image)] for image in found.order if job.masks)
+    return (
+        replace(job, images=tuple(found.order), masks=masks),
+        PoseFile(job.poses, found.panoramas, found.links),
+        found.notes,
     )
-    return job, PoseFile(job.poses, found.panoramas, found.links), found.notes
 
 
 def _check_pose_options(job: TourJob) -> None:
@@ -377,10 +351,7 @@ def _check_pose_options(job: TourJob) -> None:
 
 
 def frame_count(job: InterpolationJob) -> int:
-    """Frames of the video.
-
-    Raises InputError: fewer than there are panoramas, more than anybody wants, or said twice.
-    """
+    """Frames of the video. InputError: fewer than there are panoramas, more than anybody wants, or said twice."""
     if job.frames is not None and job.duration is not None:
         raise InputError(
             f"expected either frames or a duration, got {job.frames} frames and {job.duration:g} s; name one, and the "
@@ -399,14 +370,6 @@ def frame_count(job: InterpolationJob) -> int:
     return round(count)
 
 
-def _surface_sizes(
-    config: RunConfig, sources: Sequence[tuple[int, int]], entries: Sequence[PosedPanorama]
-) -> list[tuple[int, int]]:
-    """Height and width of surfaces, from coarse to fine."""
-    files = [entry.depth for entry in entries if entry.depth is not None]
-    return config.depth.strategy.grid_sizes(config.depth, max(height for height, _ in sources), files)
-
-
 def _encoder(job: InterpolationJob) -> str:
     """The codec and its settings in a few words."""
     if is_sequence(job.output):
@@ -418,34 +381,9 @@ def _encoder(job: InterpolationJob) -> str:
     return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
 
 
-def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], config: RunConfig) -> Iterator[str]:
-    named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
-    if config.estimates_depth and job.depth == "auto" and named:
-        why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
-        yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
-
-
-def _notes_about_size(
-    job: InterpolationJob, sources: Sequence[tuple[int, int]], read: Sequence[tuple[int, int]]
-) -> Iterator[str]:
-    (rows, columns), (height, width) = max(sources), default_size(job, sources)
-    if job.size is None and job.projection != "flat" and height < rows:
-        codec = CODEC_NAMES[job.codec or "h264"]
-        more = " or --codec h265" if codec == "H.264" else ""
-        yield (
-            f"the video is {width}x{height}, the panoramas are {columns}x{rows}: few players show larger {codec}; ask "
-            f"for more with --size{more}"
-        )
-    reduced = [(image, size) for image, old, size in zip(job.images, sources, read, strict=True) if size != old]
-    if reduced:
-        (image, (height, width)), more = reduced[0], f" and {len(reduced) - 1} more" if len(reduced) > 1 else ""
-        yield f"{image.name}{more}: read at {width}x{height}, frames of this size show no more"
-
-
 def _notes_about_pictures(job: TourJob) -> Iterator[str]:
     headers, reading = [read_header(image) for image in job.images], reading_of(job)
-    squeezed = [h.path.name for h in headers if not job.allow_aspect and is_squeezed(placement_of(h, reading))]
-    if squeezed:
+    if squeezed := [h.path.name for h in headers if not job.allow_aspect and is_squeezed(placement_of(h, reading))]:
         yield f"{listed(squeezed)}: 16:9, taken for squeezed frames of a 360° video and stretched to 2:1"
     if linear := [h.path.name for h in headers if h.is_linear and reading.view_transform]:
         yield f"{listed(linear)}: linear light, shown as on a screen (--no-view-transform takes its numbers)"
@@ -453,26 +391,36 @@ def _notes_about_pictures(job: TourJob) -> Iterator[str]:
         yield f"{listed(several)}: holds several pictures or is animated; the first picture is taken"
 
 
-def _notes_about_baselines(plan: TourPlan) -> Iterator[str]:
+def _notes_about_places_and_depth(plan: TourPlan) -> Iterator[str]:
+    images, entries = plan.job.images, plan.entries
     for a, b in plan.pairs:
-        metres = math.dist(plan.entries[a].pose.position, plan.entries[b].pose.position)
+        metres = math.dist(entries[a].pose.position, entries[b].pose.position)
         if metres > MAX_PLAUSIBLE_BASELINE_METRES:
-            names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
+            names = f"{images[a].name} and {images[b].name}"
             yield f"{names} are {metres:,.0f} m apart; are the positions in metres, and in this order?"
+    named = [image.name for image, entry in zip(images, entries, strict=True) if entry.depth is not None]
+    if plan.config.estimates_depth and plan.job.depth == "auto" and named:
+        why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
+        yield f"{plan.job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
 
-def _notes_about_video(tour: TourPlan, config: RunConfig) -> Iterator[str]:
+def _notes_about_video(
+    tour: TourPlan, config: RunConfig, job: InterpolationJob, sources: Sequence[tuple[int, int]]
+) -> Iterator[str]:
     if note := config.method_strategy.note:
         yield f"{config.method} {note}"
-    for where, is_turned in pairs_at_one_place(tour):
+    for where, is_turned in tour.pairs_at_one_place():
         how = "turns in place and cross-fades" if is_turned else "cross-fades"
         yield f"{where}: there is no parallax to follow, the video {how}"
-
-
-def pairs_at_one_place(plan: TourPlan) -> Iterator[tuple[str, bool]]:
-    """For neighbours without a way between them the words that say so, and whether they are turned to each other."""
-    for a, b in plan.pairs:
-        first, second = plan.entries[a].pose, plan.entries[b].pose
-        if at_same_position(first, second):
-            names = f"{plan.job.images[a].name} and {plan.job.images[b].name}"
-            yield f"{names} have the same position", not second.almost_equals(first)
+    (rows, columns), (height, width) = max(tour.source_sizes), default_size(job, tour.source_sizes)
+    if job.size is None and job.projection != "flat" and height < rows:
+        codec = CODEC_NAMES[job.codec or "h264"]
+        more = " or --codec h265" if codec == "H.264" else ""
+        yield (
+            f"the video is {width}x{height}, the panoramas are {columns}x{rows}: few players show larger {codec}; ask "
+            f"for more with --size{more}"
+        )
+    read = zip(job.images, tour.source_sizes, sources, strict=True)
+    if reduced := [(image, size) for image, old, size in read if size != old]:
+        (image, (height, width)), more = reduced[0], f" and {len(reduced) - 1} more" if len(reduced) > 1 else ""
+        yield f"{image.name}{more}: read at {width}x{height}, frames of this size show no more"

@@ -5,8 +5,9 @@ Frames, their confidence and the depth of panoramas appear when everything has g
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
+from pathlib import Path
 from statistics import fmean
 
 import numpy as np
@@ -15,16 +16,14 @@ from jaxtyping import Shaped
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import limited_threads, run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
-from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, stereo_mode, targets
-from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
+from omnisyn_cli.interpolation.loading import Loader, PanoramaReader, pair_surfaces
 from omnisyn_cli.interpolation.plan import InterpolationPlan
-from omnisyn_cli.interpolation.summary import Made, Summary, refuse_doubtful
-from omnisyn_cli.interpolation.surfaces import pair_surfaces
-from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
+from omnisyn_cli.interpolation.summary import Summary, refuse_doubtful
+from omnisyn_cli.interpolation.viewer.contents import TourPacker
 from omnisyn_cli.interpolation.viewer.page import write_page
-from omnisyn_cli.io import open_video, read_panorama, write_depth
+from omnisyn_cli.io import FrameSink, open_video, read_panorama, write_depth
 from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
@@ -37,27 +36,8 @@ from omnisyn_cli.synthesis.prepared_pair import measure_pair
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator
 
-KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
-"""Called with the index of a pair and the depth of its two panoramas."""
 
-
-@contextmanager
-def depth_keeper(plan: InterpolationPlan) -> Iterator[KeepDepth]:
-    """What writes the depth of pairs to ``job.save_depth``, which appears when everything has gone well."""
-    folder = plan.job.save_depth
-    with nullcontext() if folder is None else staged_folder(folder, overwrite=plan.job.overwrite) as staged:
-
-        def keep(pair: int, depths: tuple[DepthEstimate, DepthEstimate]) -> None:
-            if staged is not None:
-                for index, estimate in zip((pair, pair + 1), depths, strict=True):
-                    with np.errstate(divide="ignore"):
-                        depth = np.asarray(1.0 / estimate.inverse_depth, np.float32)
-                    write_depth(staged / depth_name(plan.job.images, pair, index), depth)
-
-        yield keep
-
-
-def samples_of(frame: Frame, kind: str, loader: Loader, threads: int | None) -> Shaped[np.ndarray, "height width 3"]:
+def _samples_of(frame: Frame, kind: str, loader: Loader, threads: int | None) -> Shaped[np.ndarray, "height width 3"]:
     """The frame as samples of a type, in memory of its own; those of the file where it is a photograph unchanged."""
     if frame.image.dtype == np.uint8 and kind == "uint8":
         return frame.image
@@ -72,28 +52,19 @@ def samples_of(frame: Frame, kind: str, loader: Loader, threads: int | None) -> 
     return samples
 
 
-@contextmanager
-def confidence_sink(plan: InterpolationPlan) -> Iterator[Callable[[Frame], None]]:
-    """What writes the confidence of frames to ``job.save_confidence``, in grey: white is sure."""
+def _confidence_sink(plan: InterpolationPlan) -> AbstractContextManager[FrameSink | None]:
+    """What writes the confidence of frames to ``job.save_confidence``, if anything does."""
     job = plan.job
     if job.save_confidence is None:
-        yield lambda frame: None
-        return
-    with open_video(
+        return nullcontext()
+    return open_video(
         job.save_confidence, size=plan.size, fps=job.fps, threads=job.threads or 0, overwrite=job.overwrite,
         stereo_mode=stereo_mode(job),
-    ) as sink:  # fmt: skip
-
-        def keep(frame: Frame) -> None:
-            if frame.confidence is not None:
-                grey = np.rint(255.0 * frame.confidence).astype(np.uint8)
-                sink.write(np.ascontiguousarray(np.repeat(grey[..., None], 3, axis=2)))
-
-        yield keep
+    )  # fmt: skip
 
 
 @contextmanager
-def frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
+def _frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
     """Where frames go, in the order of :func:`omnisyn_cli.interpolation.job.targets`."""
     job = plan.job
     with ExitStack() as stack:
@@ -115,41 +86,41 @@ def run_interpolation(
 ) -> Summary:
     """Make the video.
 
-    Args:
-        plan: from :func:`omnisyn_cli.interpolation.plan.plan_interpolation`.
-        on_frame: called with the number of finished frames, after each.
-        read: decodes a panorama; one that remembers what it has read serves several videos.
-        estimator: finds depth for this program's own method in place of what the plan asks for.
-        now: the clock of the summary's seconds.
+    ``on_frame`` is called with the number of finished frames after each. ``read`` decodes a panorama; one that
+    remembers what it has read serves several videos. An estimator finds depth for this program's own method in place of
+    the plan's; ``now`` is the clock of the summary's seconds.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on;
     EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
-    clock = Stopwatch(now)
+    job, clock = plan.job, Stopwatch(now)
     loader = Loader(plan, clock, read)
-    kinds, threads = sample_types(plan.job), plan.job.threads
+    summary = Summary(plan, left_out=loader.left_out)
+    kinds, threads, depth = sample_types(job), job.threads, job.save_depth
     with limited_threads(threads):
         with clock("decode"):
             loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
         method = make_method(plan.config, plan.size, threads=threads, clock=clock, estimator=estimator)
         with (
-            depth_keeper(plan) as keep_depth,
-            confidence_sink(plan) as keep_confidence,
-            frame_sinks(plan) as sinks,  # finished first: if that fails, nothing else is kept either
+            nullcontext() if depth is None else staged_folder(depth, overwrite=job.overwrite) as depth_folder,
+            _confidence_sink(plan) as confidence_sink,
+            _frame_sinks(plan) as sinks,  # finished first: if that fails, nothing else is kept either
         ):
-            keeper = _PairKeeper(plan, loader, keep_depth, clock)
-            is_stereo = plan.job.stereo != "mono"
-            rounds_early = is_rounded(plan.job) and isinstance(method, SurfaceMethod) and not is_stereo
+            keeper = _PairKeeper(summary, loader, depth_folder, clock)
+            is_stereo = job.stereo != "mono"
+            rounds_early = is_rounded(job) and isinstance(method, SurfaceMethod) and not is_stereo
             ring = FrameRing(plan.size, frames_in_queue(plan.size)) if rounds_early else None
             frames = synthesize(loader, plan.path, method, ring, keeper, photographs=not is_stereo)
             frames = keeper.both_eyes(frames) if is_stereo else frames
             for done, frame in enumerate(frames, start=1):
                 keeper.count(frame)
-                samples = {kind: samples_of(frame, kind, loader, threads) for kind in kinds}
+                samples = {kind: _samples_of(frame, kind, loader, threads) for kind in kinds}
                 with clock("encode"):
                     for sink, kind in zip(sinks, kinds, strict=True):
                         sink.write(samples[kind])
-                    keep_confidence(frame)
+                    if confidence_sink is not None and frame.confidence is not None:
+                        grey = np.rint(255.0 * frame.confidence).astype(np.uint8)  # white is sure
+                        confidence_sink.write(np.repeat(grey[..., None], 3, axis=2))
                 if on_frame:
                     on_frame(done)
             if isinstance(method, SurfaceMethod):
@@ -157,25 +128,19 @@ def run_interpolation(
             with clock("encode"):
                 for sink in sinks:
                     sink.finish()
-    keeper.write_viewer()
-    return Summary(plan, clock.with_total(), keeper.pairs, loader.left_out, keeper.soft_pairs, keeper.made)
-
-
-def _infinitely_far(depth: DepthEstimate) -> float:
-    """Share of the sphere that has no parallax: however the camera moves, it only turns."""
-    area = solid_angles(*depth.inverse_depth.shape)
-    return float(area[depth.inverse_depth == 0.0].sum() / area.sum())
+    if keeper.packer is not None and job.view is not None:
+        with clock("walk"):
+            write_page(job.view, keeper.packer.manifest(), keeper.packer.blocks.contents)
+    return replace(summary, seconds=clock.with_total(), results=summary.modelled())
 
 
 class _PairKeeper:
-    """Keeps what there is to know about each pair: its depth as files, a walk, its confidence for the summary."""
+    """Keeps what there is to know about each pair: its depth as files, a walk, figures for the summary."""
 
-    def __init__(self, plan: InterpolationPlan, loader: Loader, keep_depth: KeepDepth, clock: Stopwatch) -> None:
-        self._plan, self._loader, self._keep_depth, self._clock = plan, loader, keep_depth, clock
-        self._packer = None if plan.job.view is None else TourPacker(plan, ViewOptions())
-        self.pairs: dict[int, PairConfidence] = {}
-        self.soft_pairs: list[int] = []
-        self.made = Made()
+    def __init__(self, summary: Summary, loader: Loader, depth_folder: Path | None, clock: Stopwatch) -> None:
+        self._plan, self._summary, self._clock = summary.plan, summary, clock
+        self._loader, self._depth_folder = loader, depth_folder
+        self.packer = None if self._plan.job.view is None else TourPacker(self._plan)
         self._current: SurfacePair | None = None
 
     def __call__(self, index: int, pair: Pair) -> None:
@@ -183,15 +148,17 @@ class _PairKeeper:
         if not isinstance(pair, SurfacePair):
             return
         self._current = pair
-        self.pairs[index] = confidence = pair.prepared.cross_check.confidence
+        self._summary.pairs[index] = confidence = pair.prepared.cross_check.confidence
         if pair.prepared.is_soft:
-            self.soft_pairs.append(index)
+            self._summary.soft_pairs.append(index)
         if pair.prepared.triangles is not None:
-            self.made.triangles[index] = pair.prepared.triangles
-        self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
+            self._summary.triangles[index] = pair.prepared.triangles
+        # without parallax: however the camera moves, it only turns there
+        areas = [(depth.inverse_depth == 0.0, solid_angles(*depth.inverse_depth.shape)) for depth in pair.depths]
+        self._summary.infinitely_far[index] = fmean(float(area[is_far].sum() / area.sum()) for is_far, area in areas)
         first, second = (entry.pose for entry in self._plan.entries[index : index + 2])
         if (height := height_in_depth((first, second), pair.depths)) is not None:
-            self.made.camera_heights[index] = height
+            self._summary.camera_heights[index] = height
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.cross_check)
         self._loader.release_floats(index)
@@ -208,25 +175,25 @@ class _PairKeeper:
     def count(self, frame: Frame) -> None:
         """Look at a frame."""
         is_photograph = frame.waypoint.t in (0.0, 1.0)
-        self.made.frames["photographs" if is_photograph else "shown_again" if frame.is_shown_again else "rendered"] += 1
+        self._summary.frames[
+            "photographs" if is_photograph else "shown_again" if frame.is_shown_again else "rendered"
+        ] += 1
 
     def add_pairs_without_frames(self, method: SurfaceMethod) -> None:
         """Keep the depth of neighbours that no frame lay between, if depth is kept."""
-        if self._plan.job.save_depth is None and self._packer is None:
+        if self._depth_folder is None and self.packer is None:
             return
-        for index in sorted(set(range(len(self._loader) - 1)) - self.pairs.keys()):
+        for index in sorted(set(range(len(self._loader) - 1)) - self._summary.pairs.keys()):
             tour = method.depths_of(self._loader)
             self._keep(index, *measure_pair(index, tour, method.options, self._clock))
 
     def _keep(self, index: int, depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck) -> None:
-        self._keep_depth(index, depths)
-        if self._packer is not None:
+        if self._depth_folder is not None:
+            for k, estimate in zip((index, index + 1), depths, strict=True):
+                with np.errstate(divide="ignore"):
+                    depth = np.asarray(1.0 / estimate.inverse_depth, np.float32)
+                write_depth(self._depth_folder / depth_name(self._plan.job.images, index, k), depth)
+        if self.packer is not None:
             with self._clock("walk"):
                 views = self._loader[index], self._loader[index + 1]
-                self._packer.add(pair_surfaces(self._plan, index, views, depths, check))
-
-    def write_viewer(self) -> None:
-        """The page, if one is asked for."""
-        if self._packer is not None and self._plan.job.view is not None:
-            with self._clock("walk"):
-                write_page(self._plan.job.view, self._packer.packed())
+                self.packer.add(pair_surfaces(self._plan, index, views, depths, check))

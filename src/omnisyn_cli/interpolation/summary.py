@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from statistics import fmean, median
 from typing import Any, ClassVar
@@ -40,93 +40,39 @@ CONFIDENCE_PAGE = "docs/confidence.md"
 
 
 @dataclass(frozen=True)
-class Made:
-    """What was modelled, and what was not because nobody would see it.
-
-    Attributes:
-        frames: how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``.
-        triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the index of its
-            first panorama; pairs without meshes are left out.
-        infinitely_far: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
-        camera_heights: metres of the cameras above the floor, by the same index; pairs that show none are left out.
-    """
-
-    frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
-    triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
-    infinitely_far: dict[int, float] = field(default_factory=dict)
-    camera_heights: dict[int, float] = field(default_factory=dict)
-
-    @property
-    def camera_height(self) -> float | None:
-        """The median of the pairs."""
-        return median(self.camera_heights.values()) if self.camera_heights else None
-
-    def describe(self) -> dict[str, Any]:
-        """As plain values."""
-        triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
-        far = [{"first": index, "share": round(share, 4)} for index, share in self.infinitely_far.items()]
-        heights = [{"first": index, "metres": round(height, 3)} for index, height in self.camera_heights.items()]
-        made = {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
-        return {**made, "camera_heights": heights}
-
-    def lines(self) -> Iterator[str]:
-        """For people."""
-        yield ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in self.frames.items())
-        drawn, every = (sum(counts[k] for counts in self.triangles.values()) for k in (0, 1))
-        if every:
-            yield f"triangles drawn: {drawn / 1e6:.2f} of {every / 1e6:.2f} million"
-        if self.infinitely_far:
-            yield f"infinitely far: {fmean(self.infinitely_far.values()):.0%} of the sphere"
-        if self.camera_height is not None:
-            yield f"height of the cameras above the floor: {self.camera_height:.2f} m"
-
-
-@dataclass(frozen=True)
 class TourSummary:
-    """What was done, whatever was made.
+    """What was done, whatever was made; :func:`omnisyn_cli.interpolation.loading.tour_surfaces` fills it.
 
     Attributes:
         plan: what was planned.
         seconds: wall time by stage; ``total`` is all of it.
         pairs: how far what is made of two panoramas can be relied on, by the index of the first.
         left_out: share of the sphere that moves with the camera or is painted over, by the index of the panorama.
+        results: what was made, as plain values.
         soft_pairs: those that soft surfaces stand for (:mod:`omnisyn_cli.synthesis.soft_surface`), by the same index.
     """
 
     plan: TourPlan
-    seconds: dict[str, float]
-    pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
-    left_out: Mapping[int, float] = field(default_factory=dict)
-    soft_pairs: Collection[int] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    pairs: dict[int, PairConfidence] = field(default_factory=dict)
+    left_out: dict[int, float] = field(default_factory=dict)
+    soft_pairs: list[int] = field(default_factory=list)
+    results: dict[str, Any] = field(default_factory=dict)
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
-    """What to do about a doubtful pair."""
-
     last_remedy: ClassVar[str] = "--fallback crossfade"
-    """The same in the words of the summary, where nothing else helps."""
-
-    @property
-    def results(self) -> dict[str, Any]:
-        """What was made, as plain values."""
-        return {}
+    """What to do about a doubtful pair; in the words of the summary, where nothing else helps."""
 
     @property
     def confidence(self) -> dict[str, Any] | None:
         """The score of all is that of the worst pair; the shares are the means. None: nobody knows."""
         if not self.plan.config.draws_surfaces:
             return None
-        if not self.pairs:
-            return {"score": 1.0, "pairs": []}
-        described = [pair.describe() for pair in self.pairs.values()]
-        shares = {key: round(fmean(pair[key] for pair in described), 4) for key in described[0] if key != "score"}
-        return {
-            "score": min(pair["score"] for pair in described),
-            **shares,
-            "pairs": [
-                {"first": index, "soft": index in self.soft_pairs, **pair}
-                for index, pair in zip(self.pairs, described, strict=True)
-            ],
-        }
+        described = {index: pair.describe() for index, pair in self.pairs.items()}
+        pairs = [{"first": index, "soft": index in self.soft_pairs, **pair} for index, pair in described.items()]
+        columns = {key: [pair[key] for pair in described.values()] for key in next(iter(described.values()), {})}
+        score = min(columns.pop("score", [1.0]))
+        return {"score": score, **{key: round(fmean(values), 4) for key, values in columns.items()}, "pairs": pairs}
 
     def __repr__(self) -> str:
         worst = f", confidence {min(pair.score for pair in self.pairs.values()):.2f}" if self.pairs else ""
@@ -143,8 +89,7 @@ class TourSummary:
     def lines(self, *, is_report_possible: bool = True) -> Iterator[str]:
         """For people: what was left out, how far the worst pair can be relied on, where it is weakest, what to try.
 
-        Args:
-            is_report_possible: name the command that shows why; without it, as in that report itself.
+        With ``is_report_possible`` also the command that shows why.
         """
         if self.left_out:
             shares = [f"{share:.1%} of {self.plan.job.images[k].name}" for k, share in sorted(self.left_out.items())]
@@ -166,10 +111,7 @@ class TourSummary:
 
     @property
     def found_baseline(self) -> float | None:
-        """Mean metres between neighbours that poses from the pictures were scaled to.
-
-        None for poses that were given, and where the floor gave the metres.
-        """
+        """Mean metres between neighbours that poses from the pictures were scaled to; None where others gave metres."""
         job = self.plan.job
         if job.poses != POSES_FROM_PICTURES or job.camera_height is not None:
             return None
@@ -213,19 +155,49 @@ class TourSummary:
 class Summary(TourSummary):
     """What was done for a video. Encoding runs beside the other stages: ``encode`` is the time that they waited for it.
 
-    Pairs without a frame of their own are left out.
+    Pairs are named by the index of the first panorama; those without a frame of their own are left out.
 
     Attributes:
-        made: what was modelled.
+        frames: how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``.
+        triangles: how many are drawn for each frame of a pair, and how many its two meshes have.
+        infinitely_far: share of the sphere that has no parallax, the mean of both panoramas of a pair.
+        camera_heights: metres of the cameras above the floor, of pairs that show it.
     """
 
     plan: InterpolationPlan
-    made: Made = field(default_factory=Made)
+    frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
+    triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
+    infinitely_far: dict[int, float] = field(default_factory=dict)
+    camera_heights: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def camera_height(self) -> float | None:
+        """The median of the pairs."""
+        return median(self.camera_heights.values()) if self.camera_heights else None
+
+    def modelled(self) -> dict[str, Any]:
+        """That as plain values."""
+        triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
+        far = [{"first": index, "share": round(share, 4)} for index, share in self.infinitely_far.items()]
+        heights = [{"first": index, "metres": round(height, 3)} for index, height in self.camera_heights.items()]
+        made = {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
+        return {**made, "camera_heights": heights}
+
+    def modelled_in_words(self) -> Iterator[str]:
+        """That for people who ask for more."""
+        yield ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in self.frames.items())
+        drawn, every = (sum(counts[k] for counts in self.triangles.values()) for k in (0, 1))
+        if every:
+            yield f"triangles drawn: {drawn / 1e6:.2f} of {every / 1e6:.2f} million"
+        if self.infinitely_far:
+            yield f"infinitely far: {fmean(self.infinitely_far.values()):.0%} of the sphere"
+        if self.camera_height is not None:
+            yield f"height of the cameras above the floor: {self.camera_height:.2f} m"
 
     def lines(self, *, is_report_possible: bool = True) -> Iterator[str]:
         """Also an unusual height of the cameras: distances are wrong then."""
         yield from super().lines(is_report_possible=is_report_possible)
-        height = self.made.camera_height
+        height = self.camera_height
         if height is not None and not is_plausible_camera_height(height):
             yield camera_height_sentence(height, self.found_baseline)
 
@@ -237,11 +209,6 @@ class Summary(TourSummary):
         half_way = interpolate_pose(first, second, 0.5)
         shown = path[number].pose.rotation.T @ half_way.rotation @ direction
         return f"around {number / self.plan.job.fps:.1f} s, {direction_in_words(shown)}"
-
-    @property
-    def results(self) -> dict[str, Any]:
-        """What was modelled, as plain values."""
-        return self.made.describe()
 
 
 def direction_in_words(direction: Float[np.ndarray, " 3"]) -> str:

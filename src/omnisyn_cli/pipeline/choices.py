@@ -1,9 +1,24 @@
-"""How a name is looked up in a registry."""
+"""Registries: what users choose by its name."""
 
 from collections.abc import Mapping
-from typing import TypeVar
+from types import MappingProxyType
+from typing import Protocol, TypeVar
 
-T = TypeVar("T")
+
+class Named(Protocol):
+    """What is called something."""
+
+    @property
+    def name(self) -> str:
+        """As users choose it."""
+
+
+T = TypeVar("T", bound=Named)
+
+
+def by_name(*strategies: T) -> Mapping[str, T]:
+    """A registry, in the order of the help."""
+    return MappingProxyType({strategy.name: strategy for strategy in strategies})
 
 
 def chosen(registry: Mapping[str, T], name: str, what: str) -> T:

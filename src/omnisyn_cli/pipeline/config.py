@@ -21,12 +21,9 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:
-    """Height and width of frames that are twice as wide as high.
+    """Height and width of frames of a size such as ``2048x1024``, or of both numbers in either order.
 
-    Args:
-        size: such as ``2048x1024``; or both numbers in either order, since the smaller one is the height.
-
-    Raises ValueError: it is no such size.
+    Raises ValueError: it is no size that is twice as wide as high.
     """
     numbers = size.lower().split("x")[::-1] if isinstance(size, str) else [str(number) for number in sorted(size)]
     height, width = map(int, numbers) if len(numbers) == 2 and all(map(str.isdecimal, numbers)) else (0, 0)
@@ -48,8 +45,7 @@ class RunConfig:
         adaptive: whether flat surfaces are drawn with fewer triangles.
         fusion: one of :data:`~omnisyn_cli.pipeline.fusions.FUSIONS`.
         fusion_rows: that a network which corrects the rules looks at, at most.
-        edges: whether pixels at edges are means of samples, see
-            :mod:`omnisyn_cli.fusion.supersampling`; meshes that rules fuse have some.
+        edges: whether pixels at edges are means of samples (:mod:`omnisyn_cli.fusion.supersampling`).
         fallback: one of :data:`FALLBACKS`.
         confidence: whether every frame gets a map of its confidence.
         device: where networks run, one of :data:`DEVICES`.

@@ -9,10 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from omnisyn_cli.pipeline.choices import chosen
+from omnisyn_cli.pipeline.choices import by_name, chosen
 
 if TYPE_CHECKING:
     from omnisyn_cli.stereo.expected_depth import PairPrior
@@ -68,7 +67,9 @@ class DepthSource:
 
     def bytes_of_program(self, grids: Sequence[Size]) -> float:
         """Memory of the program and its networks, given the sizes of surfaces from coarse to fine."""
-        return self.strategy.bytes_of_program(grids) + (0.0 if self.prior is None else PRIOR_BYTES)
+        (height, width), strategy = grids[0], self.strategy
+        network = strategy.network_bytes * height * width
+        return strategy.program_bytes + network + (0.0 if self.prior is None else PRIOR_BYTES)
 
 
 def _matching_size(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
@@ -84,8 +85,7 @@ class DepthStrategy:
     """A source of depth.
 
     Attributes:
-        name: as users choose it.
-        help: what it is, for the help of ``--depth``.
+        help: for that of ``--depth``.
         make: makes the estimator of its settings, a function that opens a network by name, and the number of threads.
         grid_sizes: height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the
             depth files of the panoramas.
@@ -116,11 +116,6 @@ class DepthStrategy:
     def has_network(self) -> bool:
         """Whether a network takes part."""
         return self.role is not None
-
-    def bytes_of_program(self, grids: Sequence[Size]) -> float:
-        """Memory of the program and its network, given the sizes of surfaces from coarse to fine."""
-        height, width = grids[0]
-        return self.program_bytes + self.network_bytes * height * width
 
     def refines(self, grids: Sequence[Size]) -> bool:
         """Whether depth comes to its size step by step."""
@@ -198,35 +193,27 @@ def _make_monocular(source: DepthSource, network: Callable[..., Any], threads: i
     return MonocularDepthEstimator(network(source.model))
 
 
-DEPTH_SOURCES: Mapping[str, DepthStrategy] = MappingProxyType({
-    source.name: source
-    for source in (
-        DepthStrategy(
-            "file", "depth files named in the poses", _make_files, _file_sizes, reads_files=True, program_bytes=275e6,
-            estimation_bytes=0.0,
-        ),
-        DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
-        DepthStrategy(
-            "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, role="completion",
-            model_is_optional=True, network_bytes=820, refining_bytes=400,
-        ),
-        DepthStrategy("network", "a stereo network alone", _make_network, role="depth", network_bytes=3200),
-        DepthStrategy(
-            "monocular", "a network that sees one panorama at a time", _make_monocular, role=SYNSIN_DEPTH,
-            model=SYNSIN_DEPTH, program_bytes=370e6,
-        ),
-    )
-})  # fmt: skip
+DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
+    DepthStrategy(
+        "file", "depth files named in the poses", _make_files, _file_sizes, reads_files=True, program_bytes=275e6,
+        estimation_bytes=0.0,
+    ),
+    DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
+    DepthStrategy(
+        "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, role="completion",
+        model_is_optional=True, network_bytes=820, refining_bytes=400,
+    ),
+    DepthStrategy("network", "a stereo network alone", _make_network, role="depth", network_bytes=3200),
+    DepthStrategy(
+        "monocular", "a network that sees one panorama at a time", _make_monocular, role=SYNSIN_DEPTH,
+        model=SYNSIN_DEPTH, program_bytes=370e6,
+    ),
+)  # fmt: skip
 """By name, in the order of the help. Memory was measured as the peak of runs that differ in nothing else."""
 
 
 def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | None = None) -> DepthEstimator:
-    """An estimator that serves any number of pairs.
-
-    Args:
-        source: where depth comes from.
-        device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
-        threads: at most this many; None is one per core.
+    """An estimator that serves any number of pairs; its networks run on ``auto``, ``cpu`` or ``cuda``.
 
     Raises ValueError: an unknown source, or no model where one is needed; InputError: the model cannot be found or
     loaded, or not on that device.

@@ -24,15 +24,9 @@ def make_method(
     estimator: DepthEstimator | None = None,
     fuser: Fuser | None = None,
 ) -> Method:
-    """What makes frames of a size by a config.
+    """What makes frames of a size, (height, width), by a config; the clock collects seconds by stage.
 
-    Args:
-        config: what they are made with.
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
-        clock: collects seconds by stage.
-        estimator: finds depth in place of the config's, for methods that draw surfaces.
-        fuser: joins renderings in place of the config's, likewise.
+    For methods that draw surfaces an estimator finds depth in place of the config's, and a fuser joins renderings.
 
     Raises InputError: a network cannot be found or loaded, or there is no such device.
     """
@@ -45,11 +39,8 @@ def make_method(
         adaptive=config.adaptive,
     )  # fmt: skip
     settings = FuserSettings(size, threads, config.fusion_rows, config.edges)
-    parts = MethodParts(
-        options,
-        clock,
-        config.device,
+    return config.method_strategy.make(MethodParts(
+        options, clock, config.device,
         lambda: estimator or make_estimator(config.depth, device=config.device, threads=threads),
         lambda: fuser or make_fuser(config.fusion, settings, device=config.device),
-    )
-    return config.method_strategy.make(parts)
+    ))  # fmt: skip

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from omnisyn_cli.pipeline.choices import chosen
+from omnisyn_cli.pipeline.choices import by_name, chosen
 
 if TYPE_CHECKING:
     from omnisyn_cli.types import Fuser
@@ -21,13 +20,9 @@ MAX_PAINTED_PIXELS = 2 * 1024**2
 
 @dataclass(frozen=True)
 class FuserSettings:
-    """What a fuser is made for.
+    """What a fuser is made for: (height, width) of frames, threads at most (None is one per core).
 
-    Attributes:
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
-        rows: that a network which corrects the rules looks at, at most.
-        edges: whether pixels at edges are supersampled, if the fusion does that.
+    A network that corrects the rules looks at so many rows at most; pixels at edges are supersampled where that goes.
     """
 
     size: tuple[int, int]
@@ -41,8 +36,7 @@ class FusionStrategy:
     """A way to make one frame of two renderings.
 
     Attributes:
-        name: as users choose it.
-        help: what it is, for the help of ``--fusion``.
+        help: for that of ``--fusion``.
         make: makes the fuser of its settings and a function that opens its network.
         model: name in the manifest of its network; None has none.
         network_bytes: memory of the network for a frame of so many pixels.
@@ -81,31 +75,22 @@ def _make_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
     return DirectFuser(settings.size, DirectFusionSession(network()), threads=settings.threads)
 
 
-FUSIONS: Mapping[str, FusionStrategy] = MappingProxyType({
-    fusion.name: fusion
-    for fusion in (
-        FusionStrategy("geometric", "a visibility rule", _make_geometric),
-        FusionStrategy(
-            "network", "the rule, corrected by a network", _make_residual, "fusion-residual",
-            network_bytes=lambda pixels: 50e6, is_residual=True,
-        ),
-        FusionStrategy(
-            "painting", "a network, as in the paper", _make_direct, "fusion-paper-narrow",
-            network_bytes=lambda pixels: 230.0 * min(pixels, MAX_PAINTED_PIXELS), by_rules=False,
-        ),
-    )
-})  # fmt: skip
+FUSIONS: Mapping[str, FusionStrategy] = by_name(
+    FusionStrategy("geometric", "a visibility rule", _make_geometric),
+    FusionStrategy(
+        "network", "the rule, corrected by a network", _make_residual, "fusion-residual",
+        network_bytes=lambda pixels: 50e6, is_residual=True,
+    ),
+    FusionStrategy(
+        "painting", "a network, as in the paper", _make_direct, "fusion-paper-narrow",
+        network_bytes=lambda pixels: 230.0 * min(pixels, MAX_PAINTED_PIXELS), by_rules=False,
+    ),
+)  # fmt: skip
 """By name, the default first. Memory was measured as the peak of runs that differ in nothing else."""
 
 
 def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, device: str = "auto") -> Fuser:
-    """A fuser for frames of a size.
-
-    Args:
-        name: one of :data:`FUSIONS`.
-        settings: size of the frames, threads.
-        model: name in the manifest or path of an ONNX file; by default the fusion's own.
-        device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
+    """A fuser of :data:`FUSIONS`; its network is the fusion's own unless a model is named (manifest, or an ONNX file).
 
     Raises ValueError: an unknown name; InputError: the model cannot be found or loaded, or not on that device.
     """

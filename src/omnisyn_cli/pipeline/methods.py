@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from omnisyn_cli.pipeline.choices import by_name
 from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH
 
 if TYPE_CHECKING:
@@ -26,15 +26,7 @@ SYNSIN_MODELS = (SYNSIN_DEPTH, "synsin-encoder", "synsin-decoder")
 
 @dataclass(frozen=True)
 class MethodParts:
-    """What methods are made with; each takes what it needs.
-
-    Attributes:
-        options: size of the frames, threads.
-        clock: collects seconds by stage.
-        device: where networks run.
-        estimator: makes what finds depth.
-        fuser: makes what joins two layers.
-    """
+    """What methods are made with; each takes what it needs. The last two make what finds depth and joins two layers."""
 
     options: SynthesisOptions
     clock: Stopwatch | None
@@ -48,9 +40,7 @@ class MethodStrategy:
     """A way to make frames.
 
     Attributes:
-        name: as users choose it.
         description: what it does, in a few words.
-        make: makes it of its parts.
         networks: names in the manifest of its own networks.
         draws_surfaces: whether depth, renderer and fusion of a config matter.
         is_offered: whether ``omnisyn interpolate`` has it; others are there for evaluation alone.
@@ -109,14 +99,11 @@ _SYNSIN: Mapping[str, Any] = {
     "note": "makes pictures of the size of its networks and enlarges them: expect them to be blurred",
 }  # fmt: skip
 
-METHODS: Mapping[str, MethodStrategy] = MappingProxyType({
-    method.name: method
-    for method in (
-        MethodStrategy(OMNISYN, "depth, mesh, fusion", _make_surfaces, draws_surfaces=True, is_offered=True),
-        MethodStrategy("crossfade", "cross-fade of both rotated panoramas", _make_crossfade),
-        MethodStrategy("flow", "both panoramas warped along optical flow (DIS) and cross-faded", _make_flow),
-        MethodStrategy("synsin", "SynSin from the nearer panorama", partial(_make_synsin, sources=1), **_SYNSIN),
-        MethodStrategy("synsin-2view", "SynSin from both panoramas", partial(_make_synsin, sources=2), **_SYNSIN),
-    )
-})  # fmt: skip
+METHODS: Mapping[str, MethodStrategy] = by_name(
+    MethodStrategy(OMNISYN, "depth, mesh, fusion", _make_surfaces, draws_surfaces=True, is_offered=True),
+    MethodStrategy("crossfade", "cross-fade of both rotated panoramas", _make_crossfade),
+    MethodStrategy("flow", "both panoramas warped along optical flow (DIS) and cross-faded", _make_flow),
+    MethodStrategy("synsin", "SynSin from the nearer panorama", partial(_make_synsin, sources=1), **_SYNSIN),
+    MethodStrategy("synsin-2view", "SynSin from both panoramas", partial(_make_synsin, sources=2), **_SYNSIN),
+)  # fmt: skip
 """By name, this program's own first."""

@@ -5,18 +5,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from omnisyn_cli.pipeline.choices import by_name
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A config for estimated depth.
-
-    Attributes:
-        name: what users call it.
-        summary: time and quality for them, in a line of a few words; see :mod:`omnisyn_cli.cli.options` for its unit.
-        config: what it stands for.
-    """
+    """A config for estimated depth, with time and quality in a few words (units: :mod:`omnisyn_cli.cli.options`)."""
 
     name: str
     summary: str
@@ -27,17 +22,13 @@ def _refined(rows: int, prior: str | None = None, **changes: Any) -> RunConfig:
     return RunConfig(DepthSource("refined", rows, "completion-balanced", prior), adaptive=True, **changes)
 
 
-def _by_name(*presets: Preset) -> Mapping[str, Preset]:
-    return MappingProxyType({preset.name: preset for preset in presets})
-
-
-SCALE: Mapping[str, Preset] = _by_name(
+SCALE: Mapping[str, Preset] = by_name(
     Preset("fast", "13 s, 24.3 dB; for drafts", _refined(384, edges=False)),
     Preset("balanced", "33 s, 26.1 dB; the default", _refined(1024, "depth-guided", fusion="network")),
 )
 """By name, from the fastest to the most accurate."""
 
-REPRODUCTIONS: Mapping[str, Preset] = _by_name(
+REPRODUCTIONS: Mapping[str, Preset] = by_name(
     Preset(
         "paper", "for comparison; less accurate than fast",
         RunConfig(

@@ -5,10 +5,11 @@ A new renderer is its class, see :class:`omnisyn_cli.render.renderer.RendererCla
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING
+
+from omnisyn_cli.pipeline.choices import by_name
 
 if TYPE_CHECKING:
     from omnisyn_cli.render.renderer import RendererClass
@@ -19,9 +20,8 @@ class RendererStrategy:
     """A way to draw surfaces.
 
     Attributes:
-        name: as users choose it.
-        help: what it is, for the help of ``--renderer``.
-        load: imports its class.
+        help: for that of ``--renderer``.
+        place: module and name of its class, which is imported when it is asked for.
         building_bytes: memory for each vertex while surfaces are made.
         kept_bytes: memory for each vertex while frames are made.
         pixel_bytes: memory for each pixel of a frame of what one view shows, without colours.
@@ -31,44 +31,32 @@ class RendererStrategy:
 
     name: str
     help: str
-    load: Callable[[], RendererClass]
+    place: str
     building_bytes: float
     kept_bytes: float
     pixel_bytes: int = 4
     shades_on_demand: bool = False
 
+    def load(self) -> RendererClass:
+        """Its class."""
+        from pkgutil import resolve_name
 
-def _mesh() -> RendererClass:
-    from omnisyn_cli.render.renderer import MeshRenderer
-
-    return MeshRenderer
-
-
-def _two_pass() -> RendererClass:
-    from omnisyn_cli.baselines.two_pass import TwoPassRenderer
-
-    return TwoPassRenderer
+        renderer: RendererClass = resolve_name(f"omnisyn_cli.{self.place}")
+        return renderer
 
 
-def _points() -> RendererClass:
-    from omnisyn_cli.baselines.points import PointRenderer
-
-    return PointRenderer
-
-
-RENDERERS: Mapping[str, RendererStrategy] = MappingProxyType({
-    renderer.name: renderer
-    for renderer in (
-        RendererStrategy(
-            "mesh", "exact rasterisation", _mesh, building_bytes=57, kept_bytes=57, shades_on_demand=True,
-        ),
-        RendererStrategy(
-            "two-pass", "the rasteriser of the paper, a baseline", _two_pass, building_bytes=660, kept_bytes=150,
-            pixel_bytes=8,
-        ),
-        RendererStrategy(
-            "points", "a cloud of points, a baseline", _points, building_bytes=57, kept_bytes=57, pixel_bytes=100,
-        ),
-    )
-})  # fmt: skip
+RENDERERS: Mapping[str, RendererStrategy] = by_name(
+    RendererStrategy(
+        "mesh", "exact rasterisation", "render.renderer:MeshRenderer", building_bytes=57, kept_bytes=57,
+        shades_on_demand=True,
+    ),
+    RendererStrategy(
+        "two-pass", "the rasteriser of the paper, a baseline", "baselines.two_pass:TwoPassRenderer",
+        building_bytes=660, kept_bytes=150, pixel_bytes=8,
+    ),
+    RendererStrategy(
+        "points", "a cloud of points, a baseline", "baselines.points:PointRenderer", building_bytes=57, kept_bytes=57,
+        pixel_bytes=100,
+    ),
+)  # fmt: skip
 """By name, the default first. Memory was measured as the peak of runs that differ in nothing else."""

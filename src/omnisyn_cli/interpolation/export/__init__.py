@@ -2,15 +2,3 @@
 
 ``docs/export.md`` states axes, units and origin of every format; each is read back in the tests by a reader of others.
 """
-
-from omnisyn_cli.interpolation.export.run import (
-    FORMATS,
-    ExportJob,
-    ExportPlan,
-    ExportSummary,
-    default_ending,
-    plan_export,
-    run_export,
-)
-
-__all__ = ["FORMATS", "ExportJob", "ExportPlan", "ExportSummary", "default_ending", "plan_export", "run_export"]

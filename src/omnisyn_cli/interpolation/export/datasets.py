@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -14,6 +13,7 @@ from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
+from omnisyn_cli.interpolation.loading import PanoramaSurface
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.outputs import make_folder, named_in, write_parts
 from omnisyn_cli.io.ply import write_ply
@@ -29,10 +29,8 @@ FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
 }
 """Faces of a cube: rig-from-face in OpenCV's camera axes; "front" is the centre of the panorama."""
 
-PANORAMAS, RIG = "panoramas", "faces"
-"""Folders of the two models of COLMAP."""
-
-MODEL = "sparse/0"
+PANORAMAS, RIG, MODEL = "panoramas", "faces", "sparse/0"
+"""Folders of the two models of COLMAP, and of its files in each."""
 
 COLMAP_FILES = (
     *(f"{PANORAMAS}/{files}" for files in ("images/*.jpg", "depth/*.exr", "masks/*.jpg.png")),
@@ -52,34 +50,6 @@ OWN_NAME = r"(\d{4,}_[A-Za-z0-9._-]*)"
 
 MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535
 """In a metre; in samples of 16 bits."""
-
-
-@dataclass(frozen=True)
-class DatasetView:
-    """What a data set has of a panorama.
-
-    Attributes:
-        name: of its files, without an ending.
-        pose: world-from-camera, in our axes.
-        picture: ``(height, width, 3)`` RGB of 8 bits.
-        inverse_depth: 1/metre, of a size of its own; negative where it is not known, 0 where nothing is.
-        mask: of the picture's size, True where it may be used; None is everywhere.
-    """
-
-    name: str
-    pose: Pose
-    picture: UInt8[np.ndarray, "height width 3"]
-    inverse_depth: Float[np.ndarray, "rows cols"]
-    mask: Bool[np.ndarray, "height width"] | None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width of the picture."""
-        return self.picture.shape[0], self.picture.shape[1]
-
-    def usable(self) -> Bool[np.ndarray, "height width"]:
-        """The mask, written out."""
-        return np.ones(self.size, bool) if self.mask is None else self.mask
 
 
 def safe_name(index: int, image: Path) -> str:
@@ -106,23 +76,26 @@ def face_side(size: tuple[int, int]) -> int:
     return max(2, 2 * round(pixel_scale(size)[0]))
 
 
-def write_colmap_view(folder: Path, view: DatasetView, side: int) -> None:
-    """Pictures, depth and masks of a panorama and of its six faces."""
-    whole, rig, name = folder / PANORAMAS, folder / RIG, f"{view.name}.jpg"
-    _write_picture(whole / "images" / name, view.picture)
+def write_colmap_view(folder: Path, stem: str, surface: PanoramaSurface, side: int) -> None:
+    """Pictures, depth and masks of a panorama and of its six faces, which have so many rows."""
+    whole, rig, name = folder / PANORAMAS, folder / RIG, f"{stem}.jpg"
+    picture, inverse_depth, usable = surface.samples(), surface.mesh.inverse_depth, _usable(surface)
+    _write_picture(whole / "images" / name, picture)
     make_folder(whole / "depth", "depth")
-    write_depth(whole / "depth" / f"{view.name}.exr", _depth(view.inverse_depth, np.inf))
-    _write_mask(whole / "masks" / f"{name}.png", view.usable())
+    write_depth(whole / "depth" / f"{stem}.exr", _depth(inverse_depth, np.inf))
+    _write_mask(whole / "masks" / f"{name}.png", usable)
     u, v = pixel_to_texture(np.arange(side), np.arange(side), (side, side))
     x, y = np.meshgrid(2.0 * u - 1.0, 2.0 * v - 1.0)
     rays = np.stack([x, y, np.ones_like(x)], -1)
     for face, turn in FACES.items():
         directions = rays @ (CAMERA_AXES["opencv"].T @ turn).T
-        _write_picture(rig / "images" / face / name, _seen_along(view.picture, directions))
-        along_axis = _depth(sample_nearest(view.inverse_depth, directions), 0.0) / np.linalg.norm(rays, axis=-1)
-        _write_map(rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin", along_axis.astype("<f4"))
-        usable = sample_nearest(view.usable().astype(np.float32), directions) > 0
-        _write_mask(rig / "masks" / face / f"{name}.png", usable)
+        _write_picture(rig / "images" / face / name, _seen_along(picture, directions))
+        along_axis = _depth(sample_nearest(inverse_depth, directions), 0.0) / np.linalg.norm(rays, axis=-1)
+        # COLMAP's dense maps: width, height and channels in words, then float32, row after row
+        map_file = rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin"
+        write_file(map_file, "depth", f"{side}&{side}&1&".encode("ascii"), along_axis.astype("<f4").tobytes())
+        usable_in_face = sample_nearest(usable.astype(np.float32), directions) > 0
+        _write_mask(rig / "masks" / face / f"{name}.png", usable_in_face)
 
 
 def write_colmap(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]], side: int,
@@ -137,16 +110,16 @@ def write_colmap(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tu
     rig = colmap_rig_files(files, FACES, side, lines)
     for model, texts in ((PANORAMAS, whole), (RIG, rig)):
         for name, text in texts.items():
-            _write_text(folder / model / ("" if name.endswith(".json") else MODEL) / name, text)
+            write_file(folder / model / ("" if name.endswith(".json") else MODEL) / name, "the model", text.encode())
 
 
-def write_nerfstudio_view(folder: Path, view: DatasetView) -> None:
+def write_nerfstudio_view(folder: Path, stem: str, surface: PanoramaSurface) -> None:
     """Picture, depth in millimetres along the ray, mask."""
-    _write_picture(folder / "images" / f"{view.name}.jpg", view.picture)
-    millimetres = np.rint(MILLIMETRES * _depth(view.inverse_depth, 0.0))
+    _write_picture(folder / "images" / f"{stem}.jpg", surface.samples())
+    millimetres = np.rint(MILLIMETRES * _depth(surface.mesh.inverse_depth, 0.0))
     known = np.where(millimetres <= MAX_DEPTH_MILLIMETRES, millimetres, 0)
-    _write_picture(folder / "depths" / f"{view.name}.png", known.astype(np.uint16))
-    _write_mask(folder / "masks" / f"{view.name}.png", view.usable())
+    _write_picture(folder / "depths" / f"{stem}.png", known.astype(np.uint16))
+    _write_mask(folder / "masks" / f"{stem}.png", _usable(surface))
 
 
 def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]],
@@ -155,7 +128,8 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
     companions = {name: {"depth_file_path": f"depths/{name}.png", "mask_path": f"masks/{name}.png"} for name in poses}
     images: dict[str, Path | None] = {name: folder / "images" / f"{name}.jpg" for name in poses}
     shared = {"depth_unit_scale_factor": 1.0 / MILLIMETRES, "ply_file_path": "points.ply"}
-    _write_text(folder / TRANSFORMS, nerfstudio_text(poses, sizes, images, folder, companions, shared))
+    text = nerfstudio_text(poses, sizes, images, folder, companions, shared)
+    write_file(folder / TRANSFORMS, "the model", text.encode())
     write_ply(folder / "points.ply", ply_points(points), ["metres, z up"])
 
 
@@ -164,6 +138,11 @@ def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.nda
     if picture.shape[1] > MAX_REMAP_COLUMNS:
         picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     return RemapTable.for_directions(directions, picture.shape).bicubic(picture)
+
+
+def _usable(surface: PanoramaSurface) -> Bool[np.ndarray, "height width"]:
+    mask = surface.view.mask
+    return np.ones(surface.view.image.shape[:2], bool) if mask is None else mask
 
 
 def _write_picture(path: Path, samples: np.ndarray) -> None:
@@ -181,13 +160,7 @@ def _depth(inverse_depth: np.ndarray, beyond: float) -> Float32[np.ndarray, "*sh
     return np.where(is_there, 1.0 / np.where(is_there, inverse_depth, 1.0), beyond).astype(np.float32)
 
 
-def _write_map(path: Path, values: Float32[np.ndarray, "rows cols"]) -> None:
-    """COLMAP's dense maps: width, height and channels in words, then float32, row after row."""
-    make_folder(path.parent, "depth")
-    rows, cols = values.shape
-    write_parts(path, (f"{cols}&{rows}&1&".encode("ascii"), values.tobytes()))
-
-
-def _write_text(path: Path, text: str) -> None:
-    make_folder(path.parent, "the model")
-    write_parts(path, (text.encode(),))
+def write_file(path: Path, what: str, *parts: bytes) -> None:
+    """Write a file of an export into a folder that is made for it; ``what`` says what for, where that fails."""
+    make_folder(path.parent, what)
+    write_parts(path, parts)

@@ -6,7 +6,6 @@ specification, section 4 (GLB) and ``KHR_materials_unlit``.
 
 import json
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,14 +45,10 @@ class GltfModel:
         }  # fmt: skip
 
     def add(self, name: str, pose: Pose, meshes: dict[str, TexturedMesh], picture: UInt8[np.ndarray, "h w 3"]) -> None:
-        """Add a panorama.
+        """Add a panorama: a node at its pose (world-from-camera), with a picture as texture.
 
-        Args:
-            name: of its node.
-            pose: world-from-camera; where the node is.
-            meshes: in the frame of the panorama, by what comes after the name for a node below it; the one of an empty
-                name is the node's own. Those without triangles are left out.
-            picture: its texture.
+        Meshes are in the frame of the panorama, by what comes after the name for a node below it; the one of an empty
+        name is the node's own. Those without triangles are left out.
 
         Raises InputError: the model has become larger than the format can say.
         """
@@ -75,20 +70,12 @@ class GltfModel:
                 self._json["nodes"][node]["mesh"] = number
 
     def write(self, path: Path) -> None:
-        """Write the model; an existing file is replaced.
-
-        Raises WriteError: the disk is full, or the folder went away.
-        """
-        write_parts(path, self._parts())
-
-    def _parts(self) -> Iterator[bytes]:
+        """Write the model over what is there; WriteError: the disk is full, or the folder went away."""
         self._json["buffers"] = [{"byteLength": self._length}]
         text = json.dumps(self._json, ensure_ascii=False, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
-        yield struct.pack("<4sIIII", b"glTF", 2, 12 + 8 + len(text) + 8 + self._length, len(text), 0x4E4F534A)
-        yield text
-        yield struct.pack("<II", self._length, 0x004E4942)
-        yield from self._chunks
+        head = struct.pack("<4sIIII", b"glTF", 2, 12 + 8 + len(text) + 8 + self._length, len(text), 0x4E4F534A)
+        write_parts(path, [head, text, struct.pack("<II", self._length, 0x004E4942), *self._chunks])
 
     def _append(self, kind: str, value: dict[str, Any]) -> int:
         self._json[kind].append(value)

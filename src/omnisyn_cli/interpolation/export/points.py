@@ -13,35 +13,25 @@ from omnisyn_cli.geometry.sphere import direction_tables, normalize, pixel_direc
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, LEFT, TOP
 
-DISC_RADIUS_SHARE = 0.55
-"""Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %.
-
-Half way through a warehouse 0.5 and 0.55 are best (24.6 dB, 0.6 has 24.1), and 0.5 lets twice as much through.
-"""
-
-DISC_THICKNESS_SHARE = 0.01
-"""Of a disc, in its radius."""
+DISC_RADIUS_SHARE, DISC_THICKNESS_SHARE = 0.55, 0.01
+"""Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %. And its
+thickness, in its radius. Half way through a warehouse radii of 0.5 and 0.55 are best (24.6 dB, 0.6 has 24.1), and 0.5
+lets twice as much through."""
 
 MIN_COSINE = 0.25
 """Between a surface's normal and the line of sight: what is seen at a smaller angle gets no longer discs."""
 
 DISC_OPACITY = 0.99
-
 ZEROTH_HARMONIC = 0.28209479177387814
 """The constant spherical harmonic, √(1/4π): colours are stored as what lies above one half, divided by it."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """Points of one or more panoramas in one world.
+    """Points of one or more panoramas in one world: metres, RGB, the confidence of their distances in [0, 1].
 
-    Attributes:
-        position: ``(points, 3)`` metres.
-        colour: ``(points, 3)`` RGB of 8 bits.
-        confidence: of their distances, in [0, 1].
-        normal: ``(points, 3)`` of length one, towards the panorama.
-        radius: metres, standard deviations of a disc along its first and second axis.
-        turn: ``(points, 4)`` quaternion w, x, y, z: world from disc, whose third axis is the normal.
+    Normals have length one and look towards the panorama. A radius is the standard deviations of a disc, in metres,
+    along its first and second axis; a turn a quaternion w, x, y, z: world from disc, whose third axis is the normal.
     """
 
     position: Float[np.ndarray, "points 3"]
@@ -66,13 +56,9 @@ def points_of(
 ) -> Points:  # fmt: skip
     """Points of a panorama, as dense on the sphere everywhere: fewer columns towards the poles.
 
-    Args:
-        mesh: the surface; what is infinitely far, or has no surface, is left out.
-        confidence: of its size.
-        picture: the panorama, of any size.
-        pose: of the panorama in the world of the points.
-        stride: pixels of the mesh between points.
-        farthest: points from this distance on, in metres, are left out.
+    The confidence has the mesh's size, the picture any; the pose is that of the panorama in the world of the points.
+    Points are ``stride`` pixels of the mesh apart. What is infinitely far, ``farthest`` metres or more away, or without
+    a surface, is left out.
     """
     height, width = mesh.size
     row, col = _places(height, width, stride)
@@ -174,8 +160,5 @@ def _named(names: tuple[str, ...], columns: np.ndarray, kind: str) -> dict[str, 
 
 def _structured(columns: dict[str, tuple[np.ndarray, str]]) -> np.ndarray:
     """A record for each point."""
-    count = len(next(iter(columns.values()))[0])
-    records = np.empty(count, [(name, kind) for name, (_, kind) in columns.items()])
-    for name, (values, _) in columns.items():
-        records[name] = values
-    return records
+    kinds = [(name, kind) for name, (_, kind) in columns.items()]
+    return np.rec.fromarrays([values for values, _ in columns.values()], dtype=kinds)

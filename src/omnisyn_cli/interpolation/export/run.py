@@ -1,79 +1,43 @@
-"""From a job to files for other programs: what is asked for is checked, then made panorama by panorama."""
+"""A tour written for other programs: a model, points, discs, a data set, or a site for a viewer."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.fusion.confidence import PairConfidence
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import datasets
-from omnisyn_cli.interpolation.export.datasets import DatasetView
+from omnisyn_cli.interpolation.export import site as sites
+from omnisyn_cli.interpolation.export.formats import FORMATS, MAX_CLIP_ROWS, ExportPlan, ExportSummary
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
-from omnisyn_cli.interpolation.export.site_writer import MAX_CLIP_ROWS, SiteOptions, write_site
 from omnisyn_cli.interpolation.export.triangulation import textured_mesh
-from omnisyn_cli.interpolation.export.viewers import VIEWERS
-from omnisyn_cli.interpolation.job import TourJob
-from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
-from omnisyn_cli.interpolation.planning.memory import Footprint
-from omnisyn_cli.interpolation.summary import TourSummary
-from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
-from omnisyn_cli.io import check_output
-from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.outputs import check_empty_folder, check_kept, replaced_folder
+from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
+from omnisyn_cli.interpolation.loading import (
+    Loader,
+    PairSurfaces,
+    PanoramaSurface,
+    mesh_of,
+    panorama_surfaces,
+    tour_surfaces,
+)
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.io import open_video, read_header, read_panorama
+from omnisyn_cli.io.encode import jpeg_bytes
+from omnisyn_cli.io.ffmpeg_process import read_frames
+from omnisyn_cli.io.images import read_picture
+from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, replaced_folder
 from omnisyn_cli.io.ply import write_ply
+from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.poses.formats import foreign_from_pose
-from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
-from omnisyn_cli.types import DepthEstimator
-
-JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES = 0.4, 40
-"""Of each pixel of a texture and each vertex of a surface in a GLB."""
-
-POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
-"""Of a point that is kept, and points for each vertex: they lie as dense everywhere, vertices denser at the poles."""
-
-PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
-"""Bytes of a point and of a disc in a file."""
-
-SITE_BYTES, SITE_PIXEL_BYTES, CLIP_PIXEL_BYTES = 290e6, 54, 190
-"""Of a site without depth: the program, each pixel of a panorama that is read and made level, and each pixel of a clip
-besides what finding depth takes: all of its frames are held to be played backwards. Measured."""
-
-
-class Format(NamedTuple):
-    """What there is to say about a format.
-
-    Attributes:
-        suffix: of its file; empty for those that fill a folder.
-        up: of its world, see :data:`omnisyn_cli.poses.formats.WORLD_UP`.
-        stride: pixels of the depth between its points, if nobody says so.
-        sky: whether what is infinitely far is shown, likewise.
-        point: bytes of a point as it is written; 0 where there are none.
-        writing: bytes of each pixel of a panorama while its files are made.
-    """
-
-    suffix: str
-    up: str
-    stride: int
-    sky: bool
-    point: int = 0
-    writing: float = 0.0
-
-
-FORMATS: Mapping[str, Format] = {
-    "glb": Format(".glb", "y", 1, sky=True),
-    "ply": Format(".ply", "y", 1, sky=False, point=PLY_POINT_BYTES),
-    "splats": Format(".ply", "-y", 1, sky=True, point=PLY_SPLAT_BYTES),
-    "colmap": Format("", "-y", 4, sky=False, point=PLY_POINT_BYTES, writing=37),
-    "nerfstudio": Format("", "z", 4, sky=False, point=PLY_POINT_BYTES, writing=20),
-    **{name: Format("", "y", 1, sky=True) for name in VIEWERS},
-}
-"""By name. A ``.ply`` without a name is points."""
+from omnisyn_cli.render.mesh import Cut, Mesh
+from omnisyn_cli.types import DepthEstimator, View
 
 DOME_STEP_SHARE = 0.01
 """Share of its radius by which the dome of each panorama is larger than the last one's, so that none flickers."""
@@ -82,155 +46,15 @@ DOME_SHARE = 1.0 - 1e-4
 """What is as far as this share of the dome's radius lies on it."""
 
 
-@dataclass(frozen=True)
-class ExportJob(TourJob):
-    """What a user asks for of an export.
+CLIP_FRAMES, CLIP_FPS, CLIP_CRF = 37, 24.0, 20.0
+"""A second and a half, because longer ones make people wait; two thirds of the bytes of other videos."""
 
-    Attributes:
-        format: one of :data:`FORMATS`; None goes by the ending of the output.
-        texture: columns of the largest texture of a GLB and of panoramas of a site; larger panoramas are reduced.
-        stride: pixels of the depth between points; None is the format's.
-        sky: whether what is infinitely far is shown, on the dome; None is the format's.
-        dome: metres around each panorama beyond which everything lies on one sphere.
-        clips: make videos of the ways between the panoramas of a site.
-    """
+Pairs = Iterator[PairSurfaces]
+Count = Callable[[int], None]
+"""What is found of a tour; called with the number of finished panoramas."""
 
-    format: str | None = None
-    texture: Annotated[int, Ge(16)] = 4096
-    stride: Annotated[int, Ge(1)] | None = None
-    sky: bool | None = None
-    dome: Annotated[float, Gt(0)] = 200.0
-    clips: bool = False
-
-    @property
-    def follows_links(self) -> bool:
-        """For sites, whose links need not be those of a chain."""
-        return self.format in VIEWERS
-
-
-@dataclass(frozen=True)
-class ExportPlan(TourPlan):
-    """A job that has been checked.
-
-    Attributes:
-        format: one of :data:`FORMATS`.
-        stride, sky: as in the job, settled.
-    """
-
-    job: ExportJob
-    format: str
-    stride: int
-    sky: bool
-
-    @property
-    def has_depth(self) -> bool:
-        """Whether depth has to be found."""
-        return self.format not in VIEWERS or VIEWERS[self.format].has_depth
-
-    @property
-    def memory(self) -> int:
-        """Bytes that it will take, estimated."""
-        chosen = FORMATS[self.format]
-        if self.job.clips:
-            rows = min(MAX_CLIP_ROWS, max(height for height, _ in self.source_sizes))
-            return memory_of_surfaces(self, Footprint(0.0, 0.0)) + CLIP_PIXEL_BYTES * 2 * rows**2
-        if not self.has_depth:
-            return int(SITE_BYTES + SITE_PIXEL_BYTES * max(height * width for height, width in self.source_sizes))
-        if chosen.point == 0:
-            footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)
-        else:
-            spread = POINTS_PER_VERTEX / self.stride**2
-            footprint = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
-        return memory_of_surfaces(self, footprint)
-
-    def describe(self) -> dict[str, Any]:
-        """See :meth:`TourPlan.described`."""
-        settled = {
-            "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
-        }  # fmt: skip
-        return self.described({"format": self.format}, self.memory, settled)
-
-
-@dataclass(frozen=True)
-class ExportSummary(TourSummary):
-    """What was done.
-
-    Attributes:
-        points: that were written: of a cloud or a data set.
-        triangles: of a mesh.
-        links: between the panoramas of a site.
-    """
-
-    plan: ExportPlan
-    points: int = 0
-    triangles: int = 0
-    links: int = 0
-
-    advice: ClassVar[str] = "name depth files in the poses"
-    last_remedy: ClassVar[str] = "depth files in the poses"
-
-    @property
-    def results(self) -> dict[str, Any]:
-        """How much was written."""
-        return {"points": self.points, "triangles": self.triangles, "links": self.links}
-
-
-def plan_export(job: ExportJob) -> ExportPlan:
-    """Check a job without writing anything.
-
-    Raises:
-        InputError: a file is missing, poses do not fit, an option makes no sense.
-        OutputPathError: the output exists, cannot be written, or its ending says nothing of the format.
-    """
-    name, output = _format_of(job), job.output
-    chosen = FORMATS[name]
-    if chosen.suffix:
-        check_output(output, job.overwrite)
-    else:
-        check_empty_folder(output, job.overwrite)
-    tour = plan_tour(job)
-    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
-    companions = (file for entry in tour.entries for file in entry.companions)
-    check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
-    viewer = VIEWERS.get(name)
-    if job.clips and (viewer is None or not viewer.plays_clips):
-        players = [each for each, other in VIEWERS.items() if other.plays_clips]
-        raise InputError(f"expected clips with {listed(players)}, got {name}; leave them out (--clips)")
-    notes, has_depth = list(tour.notes), viewer is None or viewer.has_depth
-    if viewer is not None:
-        notes.append(f"the viewer is not part of the site, get it: {viewer.advice(output)}")
-        lonely = [panorama.name for panorama in tour.tour.panoramas if not tour.tour.neighbours[panorama.name]]
-        if has_depth and lonely:
-            raise InputError(f"expected links to every panorama, got none to {listed(lonely)}; add some (tour.json)")
-    if tour.config.estimates_depth and has_depth:
-        notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(tour)]
-    return ExportPlan(
-        job, tour.entries, tour.source_sizes, tour.config, tuple(notes), tour.tour, name, job.stride or chosen.stride,
-        chosen.sky if job.sky is None else job.sky,
-    )  # fmt: skip
-
-
-def default_ending(name: str | None) -> str:
-    """The ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`, of a format; None is the first one."""
-    name = name or next(iter(FORMATS))
-    return FORMATS[name].suffix or f"-{name}"
-
-
-def _format_of(job: ExportJob) -> str:
-    output = job.output
-    if job.format is not None and job.format not in FORMATS:
-        raise InputError(f"expected one of {', '.join(FORMATS)} as format, got {job.format!r}; choose one of these")
-    suffix = output.suffix.lower()
-    of_suffix = {known.suffix: name for name, known in [*FORMATS.items()][::-1] if known.suffix}
-    name = job.format or of_suffix.get(suffix)
-    if name is None:
-        raise OutputPathError(
-            f"{output}: expected a name ending in .glb or .ply, or a format for a folder, got '{suffix}'; name the "
-            f"format (--format {'|'.join(FORMATS)})"
-        )
-    if FORMATS[name].suffix not in ("", suffix):
-        raise OutputPathError(f"{output}: expected a name ending in {FORMATS[name].suffix} for {name}; change it")
-    return name
+HOTSPOT_PIXELS = 2048
+"""Longest side of the picture of a hotspot. Set by hand."""
 
 
 def run_export(
@@ -238,40 +62,32 @@ def run_export(
 ) -> ExportSummary:
     """Write the files; all of them appear when everything has gone well.
 
-    Args:
-        plan: from :func:`plan_export`.
-        on_panorama: called with the number of finished panoramas, after each.
-        estimator: finds depth in place of what the plan asks for.
+    ``on_panorama`` is called with the number of finished panoramas after each; an estimator finds depth in place of the
+    plan's.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown;
     WriteError: the disk is full, or the folder went away.
     """
-    clock = Stopwatch()
-    pairs: dict[int, PairConfidence] = {}
-    left_out: dict[int, float] = {}
-
-    def surfaces() -> Iterator[PanoramaSurface]:
-        found = tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock)
-        for done, surface in enumerate(panorama_surfaces(found), start=1):
-            yield surface
-            if on_panorama:
-                on_panorama(done)
-
-    if plan.format in VIEWERS:
-        found = tour_surfaces(plan, pairs, left_out, estimator=estimator, clock=clock) if plan.has_depth else None
-        options = SiteOptions(plan.format, plan.job.texture, plan.job.dome, plan.job.clips)
-        links = write_site(plan, options, found, clock, on_panorama)
-        return ExportSummary(plan, clock.with_total(), pairs, left_out, links=links)
-    write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
-    points, triangles = write(plan, surfaces(), clock)
-    return ExportSummary(plan, clock.with_total(), pairs, left_out, points=points, triangles=triangles)
+    clock, summary = Stopwatch(), ExportSummary(plan)
+    writers = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud, **dict.fromkeys(VIEWERS, _write_site)}
+    pairs = tour_surfaces(plan, summary, estimator=estimator, clock=clock)
+    made = writers.get(plan.format, _write_dataset)(plan, pairs, clock, on_panorama or (lambda done: None))
+    results = {"points": 0, "triangles": 0, "links": 0, **made}
+    return replace(summary, seconds=clock.with_total(), results=results)
 
 
-def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
+def _counted(pairs: Pairs, count: Count) -> Iterator[PanoramaSurface]:
+    """The surface of each panorama; it is counted when the next one is asked for."""
+    for done, surface in enumerate(panorama_surfaces(pairs), start=1):
+        yield surface
+        count(done)
+
+
+def _write_model(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
     from omnisyn_cli import __version__
 
     model, triangles = GltfModel(f"omnisyn {__version__}"), 0
-    for surface in surfaces:
+    for surface in _counted(pairs, count):
         with clock("export"):
             picture = surface.samples(plan.job.texture)
             radius = plan.job.dome * (1.0 + DOME_STEP_SHARE * surface.index)
@@ -284,12 +100,12 @@ def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: S
         raise InputError(_nothing(plan))
     with clock("write"):
         model.write(plan.job.output)
-    return 0, triangles
+    return {"triangles": triangles}
 
 
-def _write_cloud(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
+def _write_cloud(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
     parts = []
-    for surface in surfaces:
+    for surface in _counted(pairs, count):
         with clock("export"):
             parts.append(_points(plan, surface))
     points = joined(parts)
@@ -300,50 +116,46 @@ def _write_cloud(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: S
         records = ply_splats(points) if is_of_discs else ply_points(points)
         world = "y down, z forward" if is_of_discs else "y up, -z forward"
         write_ply(plan.job.output, records, [f"metres, right-handed, x right, {world}"])
-    return len(points), 0
+    return {"points": len(points)}
 
 
-def _write_dataset(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
+def _write_dataset(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
     job, is_colmap = plan.job, plan.format == "colmap"
     poses: dict[str, Pose] = {}
     sizes: dict[str, tuple[int, int]] = {}
     side, parts = datasets.face_side(max(plan.source_sizes)), []
     former = datasets.former_files(job.output, is_colmap=is_colmap)
     with replaced_folder(job.output, former, overwrite=job.overwrite) as staged:
-        for surface in surfaces:
+        for surface in _counted(pairs, count):
             with clock("export"):
-                name, pose = datasets.safe_name(surface.index, job.images[surface.index]), surface.view.pose
-                view = DatasetView(name, pose, surface.samples(), surface.mesh.inverse_depth, surface.view.mask)
-                poses[name], sizes[name] = pose, view.size
+                name, view = datasets.safe_name(surface.index, job.images[surface.index]), surface.view
+                poses[name], sizes[name] = view.pose, (view.image.shape[0], view.image.shape[1])
                 parts.append(_points(plan, surface))
                 if is_colmap:
-                    datasets.write_colmap_view(staged, view, side)
+                    datasets.write_colmap_view(staged, name, surface, side)
                 else:
-                    datasets.write_nerfstudio_view(staged, view)
+                    datasets.write_nerfstudio_view(staged, name, surface)
         with clock("write"):
             points = joined(parts)
             if is_colmap:
                 datasets.write_colmap(staged, poses, sizes, side, points)
             else:
                 datasets.write_nerfstudio(staged, poses, sizes, points)
-    return len(points), 0
+    return {"points": len(points)}
 
 
 def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
     """Of one panorama, in the format's world."""
-    dome = plan.job.dome
     pose = foreign_from_pose(surface.view.pose, camera="opengl", up=FORMATS[plan.format].up)
-    farthest = np.inf if plan.sky else DOME_SHARE * dome
-    mesh = _domed(plan, surface, dome)
+    farthest = np.inf if plan.sky else DOME_SHARE * plan.job.dome
+    mesh = _domed(plan, surface, plan.job.dome)
     return points_of(mesh, surface.depth.confidence, surface.samples(), pose, plan.stride, farthest)
 
 
 def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
     """The surface with everything beyond a distance at that distance."""
-    config, depth = plan.config, surface.depth
-    rho = np.maximum(depth.inverse_depth, np.float32(1.0 / radius))
-    cut, mask = Cut(config.cut, config.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
-    return build_mesh(rho, cut, mask, depth.confidence)
+    rho = np.maximum(surface.depth.inverse_depth, np.float32(1.0 / radius))
+    return mesh_of(surface.view, surface.depth, rho, Cut(plan.config.cut, plan.config.cut_metres))
 
 
 def _nothing(plan: ExportPlan) -> str:
@@ -351,3 +163,102 @@ def _nothing(plan: ExportPlan) -> str:
         f"{plan.job.output}: expected something nearer than {plan.job.dome:g} m, got sky or masks everywhere; "
         "name depth files, take panoramas that lie apart, or ask for the sky (--sky)"
     )
+
+
+def _write_site(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) -> dict[str, int]:
+    tour, job, images = plan.tour, plan.job, sites.hotspot_pictures(plan.tour)
+    site = sites.site_of(tour, has_clips=job.clips)
+    panoramas = {said.image: panorama for said, panorama in zip(tour.panoramas, site.panoramas, strict=True)}
+    former = former_files(job.output, {viewer.document[0] for viewer in VIEWERS.values()}, sites.NAMED_FILE)
+    with replaced_folder(job.output, former, overwrite=job.overwrite) as staged:
+        with clock("write"):  # before depth is found: a damaged picture ends it
+            for source, name in images.items():
+                # encoded anew: what else a file holds stays where it is
+                datasets.write_file(staged / name, "the site", jpeg_bytes(read_picture(source, HOTSPOT_PIXELS)))
+        views = _views_with_depth(plan, pairs) if plan.has_depth else _views(plan, clock)
+        known = ((panoramas[image], view, depth) for image, view, depth in views if image in panoramas)
+        for done, (panorama, view, depth) in enumerate(known, start=1):
+            with clock("export"):
+                picture = sites.levelled(sites.photograph(view, job.texture), view.pose.rotation)
+                datasets.write_file(staged / panorama.picture, "the site", jpeg_bytes(picture))
+                if depth is not None:
+                    datasets.write_file(staged / sites.DEPTH / f"{panorama.identity}.depth", "the site", depth)
+            count(done)
+        if job.clips:
+            with clock("clips"):
+                _write_clips(plan, site, staged)
+        with clock("write"):
+            for name, content in site_files(plan.format, site).items():
+                datasets.write_file(staged / name, "the site", content)
+    return {"links": site.links}
+
+
+def _views(plan: ExportPlan, clock: Stopwatch) -> Iterator[tuple[Path, View, None]]:
+    """File and view of every panorama. What moves with the camera is not looked for, because it is shown."""
+    loader = Loader(replace(plan, job=replace(plan.job, nadir=plan.job.nadir or 0.0)), clock, read_panorama)
+    for panorama, index in zip(plan.tour.panoramas, _indices(plan), strict=True):
+        yield panorama.image, loader[index], None
+
+
+def _indices(plan: ExportPlan) -> list[int]:
+    """Of the job's images, for every panorama of the tour."""
+    return [plan.job.images.index(panorama.image) for panorama in plan.tour.panoramas]
+
+
+def _views_with_depth(plan: ExportPlan, pairs: Pairs) -> Iterator[tuple[Path, View, bytes]]:
+    """As :func:`_views`, with the file of the depth.
+
+    A pair at one place knows next to nothing of it, so a panorama comes again with one that knows more.
+    """
+    vertices: dict[int, int] = {}
+    for pair in pairs:
+        for surface in pair.surfaces:
+            count = surface.depth.inverse_depth.size
+            if count > vertices.get(surface.index, 0):
+                vertices[surface.index] = count
+                model = sites.depth_model(surface.mesh.inverse_depth, surface.view.pose.rotation, plan.job.dome)
+                yield plan.job.images[surface.index], surface.view, krpano_depth(*model)
+
+
+def _write_clips(plan: ExportPlan, site: sites.Site, staged: Path) -> None:
+    """Videos of every way in both directions, level and looking north like the panoramas that they begin and end with.
+
+    They are made as a video between the two panoramas would be, with all that was asked for. The way back is the way
+    there, played backwards.
+    """
+    job, pictures = plan.job, {panorama.identity: staged / panorama.picture for panorama in site.panoramas}
+    index_of = {panorama.identity: k for panorama, k in zip(site.panoramas, _indices(plan), strict=True)}
+    clips = {
+        (panorama.identity, str(link.target)): staged / str(link.clip)
+        for panorama in site.panoramas
+        for link in panorama.links
+    }
+    make_folder(staged / sites.CLIPS, "clips")
+    with hidden_folder(staged / sites.CLIPS) as folder:
+        poses = folder / POSES_NAME
+        write_poses(poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)), allow_outside=True)
+        for (first, second), clip in clips.items():
+            if first > second:
+                continue
+            rows = min(*(read_header(pictures[end]).height for end in (first, second)), MAX_CLIP_ROWS)
+            size = (rows - rows % 2, 2 * (rows - rows % 2))
+            there = _clip_job(plan, (index_of[first], index_of[second]), poses)
+            run_interpolation(plan_interpolation(replace(there, output=clip, size=size)))
+            frames = list(read_frames(clip, size, CLIP_FRAMES))
+            with open_video(clips[second, first], size=size, fps=CLIP_FPS, crf=CLIP_CRF) as sink:
+                for frame in reversed(frames):
+                    sink.write(frame)
+
+
+def _clip_job(plan: ExportPlan, ends: tuple[int, int], poses: Path) -> InterpolationJob:
+    """The video between two panoramas of a tour, by all that the tour's job says; their poses are known by now."""
+    job = plan.job
+    asked: dict[str, Any] = {field.name: getattr(job, field.name) for field in fields(TourJob)}
+    settled = {
+        "images": tuple(job.images[k] for k in ends), "masks": tuple(job.masks[k] for k in ends if job.masks),
+        "poses": poses, "allow_outside": True, "depth": plan.config.depth.kind,
+        "baseline": None, "camera_height": None, "refine": False, "finds_order": False, "tour": None, "is_chain": True,
+        "fallback": InterpolationJob.fallback if job.fallback == TourJob.fallback else job.fallback,
+    }  # fmt: skip
+    video = {"heading": "fixed", "frames": CLIP_FRAMES, "fps": CLIP_FPS, "crf": CLIP_CRF}
+    return InterpolationJob(**{**asked, **settled, **video})

@@ -13,7 +13,8 @@ from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_angle
 from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_angles, pixel_to_direction
-from omnisyn_cli.interpolation.surfaces import quantized_picture
+from omnisyn_cli.interpolation.export.datasets import safe_name
+from omnisyn_cli.interpolation.loading import quantized_picture
 from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
 from omnisyn_cli.types import View
@@ -26,11 +27,9 @@ NAMED_FILE = re.compile(
 )
 """Files of those folders in the text that describes a tour."""
 
-REMAP_ROWS = 256
-"""Rows that are made level at once: tables for whole panoramas would take many times their memory."""
-
-LEVEL_TOLERANCE = 1e-4
-"""Radians by which a panorama may be turned and count as level and looking north: a third of a pixel of 16384."""
+REMAP_ROWS, LEVEL_TOLERANCE = 256, 1e-4
+"""Rows that are made level at once: tables for whole panoramas would take many times their memory. Radians by which a
+panorama may be turned and count as level and looking north: a third of a pixel of 16384."""
 
 DEPTH_ROWS, DEPTH_COLS = 128, 256
 """Steps of the grid of a depth model; its vertices have to be fewer than 65,536."""
@@ -43,14 +42,9 @@ SAME_PLACE_PITCH = math.radians(-30.0)
 class SiteMark:
     """A place in a panorama that one can click.
 
-    Attributes:
-        text: what it says.
-        yaw, pitch: radians to the right of north (−z of the world), and above the horizon.
-        position: place in the world in metres, or None where only the direction is known.
-        target: identity of the panorama that it leads to, or None.
-        clip: a video of the way there, relative to the site, or None.
-        link: an address that it leads to, or None.
-        image: a picture that it shows, relative to the site, or None.
+    Yaw and pitch are radians to the right of north (−z of the world), and above the horizon. The position is in metres
+    in the world; None where only the direction is known. It leads to the panorama of the identity ``target``, perhaps
+    with a video of the way there, or to an address; or it shows an image. Files are relative to the site.
     """
 
     text: str
@@ -67,13 +61,8 @@ class SiteMark:
 class SitePanorama:
     """A panorama of a site; it is level, and its centre looks north.
 
-    Attributes:
-        identity: unlike those of all others, of letters, digits, ``_`` and ``-``.
-        title, caption: for people.
-        picture: file, relative to the site.
-        position: in the world, metres.
-        yaw, pitch: radians of the first view, if one begins there.
-        marks: links to other panoramas, then hotspots.
+    Its identity is unlike all others, of letters, digits, ``_`` and ``-``. The picture is a file relative to the site,
+    the position in metres in the world; yaw and pitch are radians of the first view, if one begins there.
     """
 
     identity: str
@@ -83,18 +72,16 @@ class SitePanorama:
     position: Float[np.ndarray, " 3"]
     yaw: float
     pitch: float
-    marks: tuple[SiteMark, ...]
+    links: tuple[SiteMark, ...]
+    hotspots: tuple[SiteMark, ...]
 
 
 @dataclass(frozen=True)
 class Site:
     """All that a viewer is told.
 
-    Attributes:
-        title: of the tour.
-        panoramas: in the order of the tour.
-        start: identity of the first one.
-        fov: radians that are seen from top to bottom at the start; None leaves it to the viewer.
+    It begins at the panorama of the identity ``start``, and shows ``fov`` radians from top to bottom there; None leaves
+    that to the viewer.
     """
 
     title: str
@@ -105,26 +92,21 @@ class Site:
     @property
     def links(self) -> int:
         """Ways between panoramas; each leads in both directions."""
-        return sum(mark.target is not None for panorama in self.panoramas for mark in panorama.marks) // 2
+        return sum(len(panorama.links) for panorama in self.panoramas) // 2
 
 
-def site_of(tour: Tour, identities: Mapping[str, str], images: Mapping[Path, str], *, has_clips: bool = False) -> Site:
-    """The site of a tour.
-
-    Args:
-        tour: the tour.
-        identities: of the panoramas, by their names.
-        images: where the site has the pictures of hotspots.
-        has_clips: whether there is a video of every way.
-    """
-    panoramas = tuple(_panorama(tour, panorama, identities, images, has_clips) for panorama in tour.panoramas)
+def site_of(tour: Tour, *, has_clips: bool = False) -> Site:
+    """The site of a tour, with a video of every way or without."""
+    identities = {
+        panorama.name: safe_name(index, panorama.image).replace(".", "_")
+        for index, panorama in enumerate(tour.panoramas)
+    }
+    panoramas = tuple(_panorama(tour, panorama, identities, has_clips) for panorama in tour.panoramas)
     return Site(tour.title, panoramas, identities[tour.start.panorama], tour.start.fov)
 
 
-def _panorama(
-    tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], images: Mapping[Path, str], has_clips: bool
-) -> SitePanorama:
-    identity, pose = identities[panorama.name], panorama.pose
+def _panorama(tour: Tour, panorama: TourPanorama, identities: Mapping[str, str], has_clips: bool) -> SitePanorama:
+    identity, pose, images = identities[panorama.name], panorama.pose, hotspot_pictures(tour)
     links = tuple(_link(pose, tour.by_name[name], identities[name]) for name in tour.neighbours[panorama.name])
     if has_clips:
         links = tuple(replace(link, clip=f"{CLIPS}/{identity}--{link.target}.mp4") for link in links)
@@ -134,9 +116,7 @@ def _panorama(
         ahead = angles_to_direction(np.array(tour.start.yaw), np.array(math.radians(90.0) - tour.start.pitch))
         yaw, pitch = yaw_and_pitch(pose.rotation @ ahead)
     picture = f"{PICTURES}/{identity}.jpg"
-    return SitePanorama(
-        identity, panorama.title, panorama.caption, picture, pose.position, yaw, pitch, (*links, *hotspots)
-    )
+    return SitePanorama(identity, panorama.title, panorama.caption, picture, pose.position, yaw, pitch, links, hotspots)
 
 
 def _link(pose: Pose, other: TourPanorama, identity: str) -> SiteMark:
@@ -194,10 +174,8 @@ def depth_model(
 ) -> tuple[Float[np.ndarray, "vertices 3"], np.ndarray]:
     """The surface of a levelled panorama as vertices in our axes, metres, and triangles ``(count, 3)``.
 
-    Args:
-        inverse_depth: 1/metre in the frame of the camera; negative where it is not known.
-        rotation: world-from-camera.
-        farthest: metres beyond which, and where nothing is known, the surface is a sphere.
+    Inverse depth is 1/metre in the frame of the camera, negative where it is not known; ``rotation`` is
+    world-from-camera. From ``farthest`` metres on, and where nothing is known, the surface is a sphere.
     """
     azimuth = math.radians(360.0) * (np.arange(DEPTH_COLS) / DEPTH_COLS - 0.5)
     polar_angle = math.radians(180.0) * np.arange(DEPTH_ROWS + 1) / DEPTH_ROWS

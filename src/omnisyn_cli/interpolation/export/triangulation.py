@@ -16,13 +16,10 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_to_angles, pix
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.simplify import flat_rectangles
 
-MAX_FLATNESS = 0.01
-"""Share of its distance by which a point of the surface may be moved along its ray.
-
-With true depth that leaves one triangle in six and costs 0.03 dB half way; with estimated depth one in four."""
-
-SHIFT = 0.25
-"""Texture pixels by which the picture may be shifted on the surface; twice as many cost 0.4 dB on a warehouse."""
+MAX_FLATNESS, SHIFT = 0.01, 0.25
+"""Share of its distance by which a point of the surface may be moved along its ray: with true depth that leaves one
+triangle in six and costs 0.03 dB half way; with estimated depth one in four. Texture pixels by which the picture may be
+shifted on the surface: twice as many cost 0.4 dB on a warehouse."""
 
 POLE_PIECES = 2
 """Points at the pole of a piece of a cap, which are the first two of its four."""
@@ -30,13 +27,10 @@ POLE_PIECES = 2
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles in the frame of the panorama, counter-clockwise as seen from its centre.
+    """Triangles in the frame of the panorama, counter-clockwise as seen from its centre; positions are in metres.
 
-    Attributes:
-        position: ``(vertices, 3)`` metres.
-        texture: ``(vertices, 2)`` (u, v) of the panorama, the origin in its upper left corner; u leaves [0, 1] by up to
-            a pixel of the mesh beside the seam, where the texture repeats.
-        triangles: ``(triangles, 3)`` indices of vertices.
+    Texture coordinates (u, v) have their origin in the upper left corner of the panorama; u leaves [0, 1] by up to a
+    pixel of the mesh beside the seam, where the texture repeats.
     """
 
     position: Float[np.ndarray, "vertices 3"]
@@ -56,12 +50,9 @@ class TexturedMesh:
 
 
 def textured_mesh(mesh: Mesh, texture_height: int, threads: int | None = None) -> TexturedMesh:
-    """The triangles of a mesh none of whose vertices is infinitely far.
+    """The triangles of a mesh, in the frame of the panorama, none of whose vertices is infinitely far.
 
-    Args:
-        mesh: in the frame of the panorama.
-        texture_height: rows of the texture that will be put on it.
-        threads: at most this many.
+    ``texture_height`` are the rows of the texture that will be put on it.
     """
     shift = SHIFT * mesh.size[0] / texture_height  # in pixels of the mesh
     angle = shift * float(pixel_to_angles(1.0, 0.0, mesh.size)[1] - pixel_to_angles(0.0, 0.0, mesh.size)[1])

@@ -9,12 +9,11 @@ import html
 import json
 import math
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Float
@@ -30,11 +29,8 @@ VENDOR = "vendor"
 WINDOW_ASPECT = 16 / 9
 """Width by height of the window for which a vertical field of view becomes a horizontal one."""
 
-PHOTO_SPHERE_VIEWER_FOVS = (30.0, 90.0)
-"""Degrees from top to bottom at its greatest and least zoom, as it has them."""
-
-MARZIPANO_FOV = 75.0
-"""Degrees from top to bottom where nobody says; it has no default of its own."""
+PHOTO_SPHERE_VIEWER_FOVS, MARZIPANO_FOV = (30.0, 90.0), 75.0
+"""Degrees from top to bottom at its greatest and least zoom; and where nobody says, as it has no default of its own."""
 
 CENTIMETRES = 100.0
 """In a metre: krpano's unit."""
@@ -44,11 +40,8 @@ CENTIMETRES = 100.0
 class Viewer:
     """What there is to know of a viewer.
 
-    Attributes:
-        document: name of the file that describes the tour, and what makes its text.
-        packages: on npm, with the versions that are known to show it; none where it is not there.
-        has_depth: whether it wants depth.
-        plays_clips: whether its page shows videos of the ways.
+    Its document is the file that describes the tour, and what makes its text. Packages are those on npm, with the
+    versions that are known to show it; none where it is not there. Its page may play clips: videos of the ways.
     """
 
     document: tuple[str, Callable[[Site], str]]
@@ -78,7 +71,11 @@ def site_files(name: str, site: Site) -> dict[str, bytes]:
 @cache
 def _templates() -> Environment:
     loader = PackageLoader("omnisyn_cli.interpolation.export", "web")
-    return Environment(loader=loader, undefined=StrictUndefined, autoescape=True)
+    templates = Environment(loader=loader, undefined=StrictUndefined, autoescape=True)
+    templates.filters |= {
+        "degrees": math.degrees, "place": _krpano_place, "place_in": _krpano_mark_place, "as_text": _krpano_text,
+    }  # fmt: skip
+    return templates
 
 
 def _json(value: Any) -> str:
@@ -96,7 +93,7 @@ def _pannellum(site: Site) -> str:
 
 
 def _pannellum_scene(panorama: SitePanorama) -> dict[str, Any]:
-    marks = [_pannellum_mark(mark) for mark in panorama.marks]
+    marks = [_pannellum_mark(mark) for mark in (*panorama.links, *panorama.hotspots)]
     caption = {"author": panorama.caption} if panorama.caption else {}
     return {
         "type": "equirectangular", "panorama": panorama.picture, "title": panorama.title, **caption,
@@ -130,11 +127,10 @@ def _photo_sphere_viewer(site: Site) -> str:
 
 def _photo_sphere_viewer_node(panorama: SitePanorama) -> dict[str, Any]:
     title, caption = html.escape(panorama.title), html.escape(panorama.caption)
-    links = [{"nodeId": mark.target, "position": _radians(mark)} for mark in panorama.marks if mark.target is not None]
-    marks = [mark for mark in panorama.marks if mark.target is None]
+    links = [{"nodeId": link.target, "position": _radians(link)} for link in panorama.links]
     markers = [
         {"id": f"{panorama.identity}-{index}", "position": _radians(mark), **_photo_sphere_viewer_mark(mark)}
-        for index, mark in enumerate(marks)
+        for index, mark in enumerate(panorama.hotspots)
     ]
     named = {"name": title, "caption": f"<b>{title}</b> {caption}".strip()}
     return {"id": panorama.identity, "panorama": panorama.picture, **named, "links": links, "markers": markers}
@@ -159,14 +155,10 @@ def _marzipano(site: Site) -> str:
 
 def _marzipano_scene(panorama: SitePanorama, fov: float) -> dict[str, Any]:
     links = [
-        {**_downwards(mark), "target": mark.target, "title": mark.text, "clip": mark.clip}
-        for mark in panorama.marks
-        if mark.target is not None
+        {**_downwards(link), "target": link.target, "title": link.text, "clip": link.clip} for link in panorama.links
     ]
     infos = [
-        {**_downwards(mark), "title": mark.text, "link": mark.link, "image": mark.image}
-        for mark in panorama.marks
-        if mark.target is None
+        {**_downwards(mark), "title": mark.text, "link": mark.link, "image": mark.image} for mark in panorama.hotspots
     ]
     return {
         "id": panorama.identity, "name": panorama.title, "caption": panorama.caption, "panorama": panorama.picture,
@@ -176,89 +168,24 @@ def _marzipano_scene(panorama: SitePanorama, fov: float) -> dict[str, Any]:
 
 def _krpano(site: Site) -> str:
     """Scenes with their place in the world and a model of their depth; centimetres, x right, y down, z forward."""
-    root = ElementTree.Element("krpano", version="1.21", title=site.title)
-    for name, (more, code) in KRPANO_ACTIONS.items():
-        ElementTree.SubElement(root, "action", {"name": name, **more}).text = code.format(start=f"scene_{site.start}")
-    ElementTree.SubElement(root, "display", depthmaprendermode="3dmodel")
-    ElementTree.SubElement(root, "events", name="omnisyn", keep="true", onnewscene="omnisyn_caption();")
-    ElementTree.SubElement(root, "layer", name="omnisyn_caption", type="text", keep="true", align="bottom", y="12")
-    ElementTree.SubElement(root, "style", name="omnisyn_mark", type="text", bg="true", depth="0", torigin="world")
-    for panorama in site.panoramas:
-        _krpano_scene(root, panorama, site.fov if panorama.identity == site.start else None)
-    ElementTree.indent(root, " ")
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    numbers = {"depth_folder": DEPTH, "scale": CENTIMETRES, "default_fov": math.radians(MARZIPANO_FOV)}
+    return _templates().get_template("krpano.xml.j2").render(site=site, **numbers) + "\n"
 
 
-KRPANO_ACTIONS: Mapping[str, tuple[dict[str, str], str]] = {
-    "omnisyn_start": (
-        {"autorun": "onstart"},
-        "loadscene('{start}', null, MERGE); set(view.tx, get(image.ox)); set(view.ty, get(image.oy)); "
-        "set(view.tz, get(image.oz));",
-    ),
-    "omnisyn_go": (
-        {"scope": "local", "args": "target"},
-        "loadscene(get(target), null, MERGE|KEEPVIEW|KEEPMOVING, BLEND(0.75)); "
-        "tween(view.tx|view.ty|view.tz, calc(image.ox + '|' + image.oy + '|' + image.oz), 1.0, easeinoutsine);",
-    ),
-    "omnisyn_caption": ({}, "set(layer[omnisyn_caption].text, get(scene[get(xml.scene)].caption));"),
-}
-"""krpano's attributes and code of an action by its name: begin, move through space to another scene, say where one is.
-"""
+def _krpano_place(position: Float[np.ndarray, " 3"]) -> list[str]:
+    return [f"{value:.2f}" for value in WORLD_UP["-y"].T @ position * CENTIMETRES]
 
 
-def _krpano_scene(root: ElementTree.Element, panorama: SitePanorama, fov: float | None) -> None:
-    caption = " – ".join(filter(None, (panorama.title, panorama.caption)))
-    texts = {"title": _krpano_text(panorama.title), "caption": _krpano_text(caption)}
-    scene = ElementTree.SubElement(root, "scene", {"name": f"scene_{panorama.identity}", **texts})
-    shown = math.degrees(math.radians(MARZIPANO_FOV) if fov is None else fov)
-    view = _krpano_angles(panorama, "hlookat", "vlookat")
-    ElementTree.SubElement(scene, "view", {**view, "fovtype": "VFOV", "fov": f"{shown:.3f}", "limitview": "auto"})
-    image = ElementTree.SubElement(scene, "image", _krpano_place(panorama.position, ("ox", "oy", "oz")))
-    ElementTree.SubElement(image, "sphere", url=panorama.picture)
-    model = {
-        "url": f"{DEPTH}/{panorama.identity}.depth",
-        "enabled": "true",
-        "rendermode": "3dmodel",
-        "scale": f"{CENTIMETRES:g}",
-        "axis": "+x+y+z",
-        "cull": "none",
-        "hittest": "true",
-    }
-    ElementTree.SubElement(image, "depthmap", model)
-    for index, mark in enumerate(panorama.marks):
-        named = {"name": f"mark_{index}", "style": "omnisyn_mark"}
-        ElementTree.SubElement(scene, "hotspot", {**named, **dict(_krpano_mark(mark, panorama.position))})
-
-
-def _krpano_mark(mark: SiteMark, position: Float[np.ndarray, " 3"]) -> Iterator[tuple[str, str]]:
-    place = mark.position
-    if place is None:  # a metre away in its direction
-        polar_angle = math.radians(90.0) - mark.pitch
-        place = position + np.asarray(angles_to_direction(np.array(mark.yaw), np.array(polar_angle)))
-    yield from _krpano_angles(mark, "ath", "atv").items()
-    yield from _krpano_place(place, ("tx", "ty", "tz")).items()
-    yield "text", _krpano_text(mark.text)
-    if mark.target is not None:
-        yield "linkedscene", f"scene_{mark.target}"
-        yield "onclick", "omnisyn_go(get(linkedscene));"
-    elif mark.link or mark.image:
-        yield "address", mark.link or mark.image or ""
-        yield "onclick", "openurl(get(address));"
+def _krpano_mark_place(mark: SiteMark, panorama: SitePanorama) -> list[str]:
+    """Of one without a position a metre away in its direction."""
+    polar_angle = math.radians(90.0) - mark.pitch
+    beside = panorama.position + np.asarray(angles_to_direction(np.array(mark.yaw), np.array(polar_angle)))
+    return _krpano_place(beside if mark.position is None else mark.position)
 
 
 def _krpano_text(text: str) -> str:
     """As HTML, without what krpano reads as a tag or expression (``[…]``) or as the begin of one (``get:``)."""
     return html.escape(text).translate({ord(sign): f"&#{ord(sign)};" for sign in "[]:"})
-
-
-def _krpano_angles(at: SiteMark | SitePanorama, horizontal: str, vertical: str) -> dict[str, str]:
-    """Degrees to the right and downwards."""
-    return {horizontal: f"{math.degrees(at.yaw):.4f}", vertical: f"{-math.degrees(at.pitch):.4f}"}
-
-
-def _krpano_place(position: Float[np.ndarray, " 3"], names: tuple[str, str, str]) -> dict[str, str]:
-    place = WORLD_UP["-y"].T @ position * CENTIMETRES
-    return {name: f"{value:.2f}" for name, value in zip(names, place, strict=True)}
 
 
 def krpano_depth(vertices: Float[np.ndarray, "vertices 3"], triangles: np.ndarray) -> bytes:

@@ -1,37 +1,36 @@
-"""How long a job will take on this machine: a table of measured seconds, and how fast this machine is.
+"""How long a job takes on this machine, and which preset shows the best picture within a number of seconds.
 
 The table (:data:`TABLE_NAME`) has seconds of computing of one core of the machine that it was measured on: once, for
 each pair, and for each frame by its size. A small piece of work (:func:`probe`) compares that machine with this one.
+Only presets of the scale from fast to balanced are chosen: what is there to compare with is neither.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 from omnisyn_cli.compute.threads import available_threads
-from omnisyn_cli.interpolation.plan import InterpolationPlan
-from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, read_table
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
+from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, gain, quality, read_table
 from omnisyn_cli.pipeline.config import RunConfig
+from omnisyn_cli.pipeline.presets import SCALE
 
 TABLE_NAME = "pareto.json"
 """Figures of speed that come with the program."""
 
-THREAD_SCALING_EXPONENT = 0.75
-"""A guess: n threads do as much as n to this power."""
-
-SPREAD = 2.0
-"""Factor between what is expected and its bounds. Set by hand."""
-
-PROBE_REPEATS = 4
-"""Of the probe of speed; the fastest counts, as others may disturb it. Set by hand."""
+THREAD_SCALING_EXPONENT, SPREAD, PROBE_REPEATS = 0.75, 2.0, 4
+"""Set by hand: n threads do as much as n to this power; factor between what is expected and its bounds; tries of the
+probe, the fastest of which counts, as others may disturb it."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +53,10 @@ class Duration:
 def range_in_words(low: float, high: float) -> str:
     """A range of seconds in round numbers of seconds, minutes or hours."""
     unit, name = next((each for each in ((1, "s"), (60, "min")) if high < 100 * each[0]), (3600, "hours"))
-    bounds = [_rounded(seconds / unit) for seconds in (low, high)]
-    return f"{bounds[0]} to {bounds[1]} {name}" if bounds[0] < bounds[1] else f"{bounds[1]} {name}"
-
-
-def _rounded(number: float) -> int:
-    step = 1 if number < 10 else 5 if number < 40 else 10
-    return max(1, step * round(number / step))
+    numbers = low / unit, high / unit
+    steps = [1 if number < 10 else 5 if number < 40 else 10 for number in numbers]
+    first, last = (max(1, step * round(number / step)) for number, step in zip(numbers, steps, strict=True))
+    return f"{first} to {last} {name}" if first < last else f"{last} {name}"
 
 
 def probe() -> float:
@@ -90,32 +86,24 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
     InputError: the table that came with the program is missing or damaged.
     """
     table, config = shipped_table() if table is None else table, plan.config
-    finder = _figures(table, config, is_of_depth=True)
-    sizes = _figures(table, config, is_of_depth=False)
-    if not (finder and sizes and config.draws_surfaces):
+    is_found = config.estimates_depth
+    finders = _alike(table, config, lambda other: (other.depth.kind, other.depth.networks) if is_found else None)
+    sizes = _alike(table, config, lambda other: (other.renderer, other.fusion, other.edges))
+    if not (finders and sizes and config.draws_surfaces):
         return None
-    panoramas, found = len(plan.entries), finder[0].seconds
-    pair = found["check"] + found["mesh"] + (found["depth"] if config.estimates_depth else 0.0)
-    decoding = found["decode"] / 2 * math.prod(max(plan.source_sizes)) / math.prod(finder[0].source)
-    frame = _seconds_per_frame(sizes, math.prod(plan.size))
-    frames = max(len(plan.path) - panoramas, 0)
+    panoramas, found = len(plan.entries), finders[0].seconds
+    pair = found["check"] + found["mesh"] + (found["depth"] if is_found else 0.0)
+    decoding = found["decode"] / 2 * math.prod(max(plan.source_sizes)) / math.prod(finders[0].source)
+    frames = max(len(plan.path) - panoramas, 0) * _seconds_per_frame(sizes, math.prod(plan.size))
     threads = min(plan.job.threads or available_threads(), available_threads())
-    work = panoramas * decoding + (panoramas - 1) * pair + frames * frame
+    work = panoramas * decoding + (panoramas - 1) * pair + frames
     slowness = probe() / median(figures.probe for figures in table)
     return Duration(slowness * (found["start"] + work / threads**THREAD_SCALING_EXPONENT))
 
 
-def _figures(table: Sequence[Figures], config: RunConfig, *, is_of_depth: bool) -> list[Figures]:
-    """Those of settings whose depth is found alike, or whose frames are drawn alike; the most similar rows first."""
-
-    def is_like(other: RunConfig) -> bool:
-        if is_of_depth:
-            return not config.estimates_depth or (other.depth.kind, other.depth.networks) == (
-                config.depth.kind, config.depth.networks
-            )  # fmt: skip
-        return (other.renderer, other.fusion, other.edges) == (config.renderer, config.fusion, config.edges)
-
-    alike = [f for f in table if f.config.draws_surfaces and is_like(f.config)]
+def _alike(table: Sequence[Figures], config: RunConfig, trait: Callable[[RunConfig], Any]) -> list[Figures]:
+    """Those of settings that share a trait with a config; the most similar rows first."""
+    alike = [f for f in table if f.config.draws_surfaces and trait(f.config) == trait(config)]
     return sorted(alike, key=lambda f: (abs(math.log2(f.config.depth.rows / config.depth.rows)), -f.pairs))
 
 
@@ -129,3 +117,103 @@ def _seconds_per_frame(sizes: Sequence[Figures], pixels: int) -> float:
     places, seconds = zip(*points, strict=True)
     inside = min(max(pixels, places[0]), places[-1])
     return float(np.interp(inside, places, seconds) * pixels / inside)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A preset for a job that may take ``budget`` seconds, and what is expected of each preset that was measured.
+
+    ``more`` says what the preset of the best picture gains, and how sure that is; or nothing.
+    """
+
+    preset: str
+    expected: dict[str, Duration]
+    budget: float
+    more: str = ""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the job is expected to be done in time."""
+        return self.expected[self.preset].seconds <= self.budget
+
+    def __str__(self) -> str:
+        own = self.expected[self.preset]
+        if not self.fits:
+            return (
+                f"even the fastest preset, {self.preset}, is expected to take {own.words}, more than the budget of "
+                f"{self.budget:g} s; it is taken (fewer frames or a smaller --size help){self.more}"
+            )
+        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own.words}{self.more}"
+
+
+def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
+    """The plan with the preset of the best picture that takes at most ``budget`` seconds, and a note that says so.
+
+    Raises InputError: the job asks for something that was not measured, or no preset was.
+    """
+    _check_measured(plan)
+    table = shipped_table()
+    if plan.config.estimates_depth:
+        choice = choose_preset(plan, table, budget)
+        plan, note = with_preset(plan, choice.preset), str(choice)
+    else:
+        note = _without_choice(expected_duration(plan, table), budget)
+    return replace(plan, notes=(*plan.notes, note))
+
+
+def _check_measured(plan: InterpolationPlan) -> None:
+    """Pictures were compared with presets as they are; depth from files takes no time."""
+    job = plan.job
+    asked = {
+        "renderer": (plan.config.renderer, ("mesh",)),
+        "depth": (job.depth, ("auto", "file", "refined")),
+        "model": (job.model, (None,)),
+        "depth_prior": (job.depth_prior, (None,)),
+        "fusion": (job.fusion, ("auto",)),
+    }
+    for name, (given, measured) in asked.items():
+        if given not in measured:
+            default = f"the {name} {measured[0]!r}" if measured[0] else f"no {name}"
+            raise InputError(
+                f"expected {default} with a budget, got {given!r}, with which presets were not compared; leave one of "
+                "them out"
+            )
+
+
+def _without_choice(expected: Duration | None, budget: float) -> str:
+    if expected is None:
+        raise InputError("expected a renderer and a fusion that were measured with a budget, got others; leave it out")
+    verdict = "within" if expected.seconds <= budget else "more than"
+    return (
+        f"depth comes from files, so presets make no difference: expected to take {expected.words}, {verdict} the "
+        f"budget of {budget:g} s"
+    )
+
+
+def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> Choice:
+    """The preset of the best picture that fits into ``budget`` seconds, or the fastest where none does.
+
+    InputError: no preset of this version was measured.
+    """
+    measured = {name: found for name in SCALE if (found := _scored(table, name)) is not None}
+    durations = {name: expected_duration(with_preset(plan, name), table) for name in measured}
+    expected = {name: duration for name, duration in durations.items() if duration is not None}
+    if not expected:
+        raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")
+    fitting = [name for name, duration in expected.items() if duration.seconds <= budget]
+    fastest = next(iter(expected))  # by the scale: runs that are remembered may be of one preset, on a busy machine
+    chosen = max(fitting, key=lambda name: quality(measured[name]), default=fastest)
+    best, more = max(expected, key=lambda name: quality(measured[name])), ""
+    if best != chosen:
+        gained, error = gain(measured[best], measured[chosen])
+        more = (
+            f"; {best} would take {expected[best].words} for {gained:+.2f} ± {error:.2f} dB "
+            f"(the mean of {len(measured[best].scores)} scenes of omnisyn bench)"
+        )
+    return Choice(chosen, expected, budget, more)
+
+
+def _scored(table: Sequence[Figures], preset: str) -> Figures | None:
+    """Figures of a preset in the size with the most pixels that it has scores in."""
+    rated = [f for f in table if f.scores and f.config == SCALE[preset].config]
+    return max(rated, key=lambda f: math.prod(f.setting.size), default=None)

@@ -22,7 +22,7 @@ from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.pipeline.config import RunConfig
 
 FRAME_STAGES = ("render", "fuse", "encode")
-"""``encode`` is what is in no other stage: samples are converted and handed on, and the encoder works."""
+"""``encode`` is what is in no other stage: samples are converted, and the encoder works."""
 
 STANDARD_FRAMES = 90
 """Frames of the clip that settings are compared by: three seconds between two panoramas."""
@@ -33,13 +33,7 @@ TABLE_VERSION = 2
 
 @dataclass(frozen=True)
 class Setting:
-    """What can be chosen.
-
-    Attributes:
-        method: a name that :func:`omnisyn_cli.evaluation.methods.find_method` knows.
-        size: height and width of the frames.
-        threads: at most this many.
-    """
+    """What can be chosen: a method (:func:`omnisyn_cli.evaluation.methods.find_method`), (height, width), threads."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
@@ -54,25 +48,18 @@ class Setting:
         return f"{self.method}, {self.size[1]}x{self.size[0]}, {threads}"
 
 
-DEFAULT_CONFIG = RunConfig()
-"""Of figures that name no config."""
-
-
 @dataclass(frozen=True)
 class Figures:
-    """What was measured of a setting.
+    """What was measured of a setting, or the ``reason`` why that failed.
 
     Attributes:
-        setting: which.
-        status: ``done``, or ``failed`` for a ``reason``.
-        reason: why there are no figures.
         config: what the method stands for.
-        key: what the figures depend on, as a digest.
+        key: digest of what the figures depend on.
         source: height and width of the panoramas.
         seconds: of computing by stage: ``start`` once; those of :data:`FRAME_STAGES` for each frame; others for each
             pair.
-        probe: seconds that this machine took for :func:`omnisyn_cli.interpolation.planning.duration.probe`.
-        memory: bytes at most, of the program without the encoder; None where nobody knows.
+        probe: seconds of :func:`omnisyn_cli.interpolation.planning.duration.probe` on that machine.
+        memory: bytes at most, without the encoder; None where nobody knows.
         scores: WS-PSNR in dB by the name of the pair, the mean of its true frames.
         pairs: panoramas between which clips were made.
     """
@@ -80,7 +67,7 @@ class Figures:
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
-    config: RunConfig = DEFAULT_CONFIG
+    config: RunConfig = field(default_factory=RunConfig)
     key: str = ""
     source: tuple[int, int] = (0, 0)
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -104,24 +91,14 @@ FIGURES = TypeAdapter(Figures)
 
 
 def gain(figures: Figures, other: Figures) -> tuple[float, float]:
-    """How much better one is than another between pairs that both have scores of: the mean in dB, its standard error.
-
-    Both are NaN where there is none, the error also where there is one only.
-    """
+    """Mean and standard error, in dB, of how much better one is on pairs that both have; NaN without enough of them."""
     gains = [score - other.scores[pair] for pair, score in figures.scores.items() if pair in other.scores]
     error = stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else math.nan
     return (fmean(gains) if gains else math.nan), error
 
 
-def standard_seconds(figures: Figures) -> float:
-    """Computing for :data:`STANDARD_FRAMES` between two panoramas, of the size that was measured."""
-    return first_seconds(figures) + STANDARD_FRAMES * frame_seconds(figures)
-
-
-def first_seconds(figures: Figures) -> float:
-    """Computing before the first frame."""
-    seconds = _seconds(figures)
-    return seconds["start"] + math.fsum(seconds[stage] for stage in pair_stages(figures))
+def _seconds(figures: Figures) -> Mapping[str, float]:
+    return figures.seconds or dict.fromkeys(("start", "decode", "depth", *FRAME_STAGES), math.nan)
 
 
 def pair_stages(figures: Figures) -> list[str]:
@@ -129,16 +106,28 @@ def pair_stages(figures: Figures) -> list[str]:
     return [stage for stage in _seconds(figures) if stage not in {"start", *FRAME_STAGES}]
 
 
+def first_seconds(figures: Figures) -> float:
+    """Computing before the first frame."""
+    return math.fsum(_seconds(figures)[stage] for stage in ("start", *pair_stages(figures)))
+
+
 def frame_seconds(figures: Figures) -> float:
     """Computing for each further frame."""
     return math.fsum(_seconds(figures)[stage] for stage in FRAME_STAGES)
 
 
-def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
-    """Those that no other one is both faster and more accurate than, the fastest first.
+def standard_seconds(figures: Figures) -> float:
+    """Computing for :data:`STANDARD_FRAMES` between two panoramas, of the size that was measured."""
+    return first_seconds(figures) + STANDARD_FRAMES * frame_seconds(figures)
 
-    Of several equally fast ones only the most accurate is in it. Figures without accuracy are not.
-    """
+
+def quality(figures: Figures) -> float:
+    """WS-PSNR in dB; minus infinity where it is not known."""
+    return -math.inf if figures.ws_psnr is None else figures.ws_psnr
+
+
+def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
+    """Those with an accuracy that no other one is both as fast and as accurate as, the fastest first."""
     rated = [figures for figures in measured if figures.status == "done" and figures.ws_psnr is not None]
     front: list[Figures] = []
     for figures in sorted(rated, key=lambda each: (standard_seconds(each), -quality(each))):
@@ -148,10 +137,7 @@ def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
 
 
 def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
-    """Write the figures of all settings that were measured as JSON; an existing file is replaced.
-
-    WriteError: the disk is full, or there is no such folder.
-    """
+    """Write all figures as JSON over what is there; WriteError: the disk is full, or there is no such folder."""
     done = [figures.to_json() for figures in measured if figures.status == "done"]
     content = {"version": TABLE_VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
     text = json.dumps(content, allow_nan=False).replace('{"setting"', '\n{"setting"')  # a line for each
@@ -170,12 +156,3 @@ def read_table(path: Path) -> tuple[Figures, ...]:
             f"{path}: expected a table of version {TABLE_VERSION} from `omnisyn bench --store`, got '{error!s:.200}'; "
             "write it anew"
         ) from error
-
-
-def _seconds(figures: Figures) -> Mapping[str, float]:
-    return figures.seconds or dict.fromkeys(("start", "decode", "depth", *FRAME_STAGES), math.nan)
-
-
-def quality(figures: Figures) -> float:
-    """WS-PSNR in dB; minus infinity where it is not known."""
-    return -math.inf if figures.ws_psnr is None else figures.ws_psnr

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,117 +19,99 @@ samples of 8 bits."""
 CONFIDENCE_BYTES = 12
 """Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
 
-MIP_LEVEL_SHARE = 4 / 3
-"""Pixels of a texture with its mip levels, in those of the picture."""
+MIP_LEVEL_SHARE, FLOAT_PIXEL_BYTES = 4 / 3, 12
+"""Pixels of a texture with its mip levels, in those of the picture; bytes of each pixel of a panorama as numbers."""
 
-
-FLOAT_PIXEL_BYTES = 12
-"""Bytes of each pixel of a panorama as numbers, which depth is found in."""
-
-UNCOLLECTED_BYTES = 80e6
-"""Bytes that finding the depth of one pair leaves lying until that of the next is found."""
-
-LOOK_AHEAD_VERTEX_BYTES = 4 * 8
-"""Bytes of each vertex of a surface that are held of the pair after the one at work, and while both are joined."""
-
-
-def fuses_chain_depth(config: RunConfig, panoramas: int) -> bool:
-    """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
-    return config.estimates_depth and panoramas > 2
+UNCOLLECTED_BYTES, LOOK_AHEAD_VERTEX_BYTES = 80e6, 4 * 8
+"""Bytes that finding the depth of one pair leaves lying until that of the next is found; and those of each vertex of a
+surface that are held of the pair after the one at work, and while both are joined."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Bytes that something made of surfaces takes.
+    """Bytes that something made of surfaces takes: of each pixel and each vertex until all surfaces are there.
 
-    Attributes:
-        per_pixel: of each picture, until all of them are there.
-        per_vertex: of each surface, likewise.
-        closing: of each vertex of all surfaces, when all of them are there.
-        writing: of each pixel of one picture, while it is written.
-        columns: that pictures have at most in it; None is as many as they have.
+    ``closing`` are those of each vertex when all are there, ``writing`` of each pixel of one picture while it is
+    written. Pictures have at most so many columns in it.
     """
 
-    per_pixel: float
-    per_vertex: float
+    per_pixel: float = 0.0
+    per_vertex: float = 0.0
     closing: float = 0.0
     writing: float = 0.0
     columns: int | None = None
 
 
-def estimated_surface_memory(
-    job: TourJob, config: RunConfig, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
-    footprint: Footprint,
-) -> int:  # fmt: skip
-    """Bytes, estimated: the most of what is held while depth is found and while something is made of a surface.
+@dataclass(frozen=True)
+class MemoryEstimate:
+    """What memory is estimated from: the most of what is held at a peak. ImageError: a panorama is unreadable.
 
-    Args:
-        job: what is asked for.
-        config: what surfaces are made with.
+    Attributes:
         sources: height and width of the panoramas.
-        depths: those of the surfaces, see :func:`estimated_memory`.
-        footprint: what is made of surfaces.
-
-    Raises ImageError: a panorama is missing or unreadable.
-    """
-    source = config.depth.strategy
-    largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
-    is_8_bit = all(read_header(image).dtype == "uint8" for image in job.images)
-    panorama = FLOAT_PIXEL_BYTES + (3 if is_8_bit else FLOAT_PIXEL_BYTES)
-    more = (panorama * largest + UNCOLLECTED_BYTES) if len(sources) > 2 else 0.0
-    if fuses_chain_depth(config, len(sources)):
-        more += panorama * largest + LOOK_AHEAD_VERTEX_BYTES * vertices
-    picture = largest if footprint.columns is None else min(largest, footprint.columns**2 // 2)
-    kept = len(sources) * (footprint.per_pixel * picture + footprint.per_vertex * vertices)
-    drawing_bytes = max(
-        source.bytes_of_estimation(depths),
-        footprint.writing * largest + config.renderer_strategy.building_bytes * vertices,
-        len(sources) * footprint.closing * vertices,
-    )
-    return int(config.depth.bytes_of_program(depths) + 2 * panorama * largest + more + kept + drawing_bytes)
-
-
-def estimated_memory(
-    job: InterpolationJob,
-    config: RunConfig,
-    size: tuple[int, int],
-    sources: Sequence[tuple[int, int]],
-    depths: Sequence[tuple[int, int]],
-) -> int:
-    """Bytes, estimated: the most of what is held while depth is sharpened, surfaces are made, and frames are.
-
-    Args:
-        job: what is asked for.
-        config: what frames are made with.
-        size: height and width of the frames.
-        sources: those of the panoramas.
         depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
             to their size by :mod:`omnisyn_cli.stereo.refined_estimator`.
-
-    Raises ImageError: a panorama is missing or unreadable.
+        looks_ahead: whether the next pair is compared as well.
     """
-    source = config.depth.strategy
-    largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
-    is_8_bit = all(read_header(image).dtype == "uint8" for image in job.images)
-    is_kept_as_samples = is_8_bit and config.renderer_strategy.shades_on_demand
-    kept = (3 if is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
-    texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
-    program = config.depth.bytes_of_program(depths)
-    frames = _bytes_of_frames(job, config, size) + FLOAT_PIXEL_BYTES * largest
-    if not config.draws_surfaces:
-        return int(program + 2 * kept * largest + frames)
-    depth_bytes = source.bytes_of_estimation(depths)
-    if source.refines(depths):
-        depth_bytes += 2 * FLOAT_PIXEL_BYTES * largest
-    ahead = (
-        (FLOAT_PIXEL_BYTES + (3 if is_8_bit else 0)) * largest + LOOK_AHEAD_VERTEX_BYTES * vertices + UNCOLLECTED_BYTES
-    )
-    texturing_surfaces = (
-        2 * config.renderer_strategy.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * largest
-    )
-    frames += 2 * config.renderer_strategy.kept_bytes * vertices
-    more = ahead if fuses_chain_depth(config, len(sources)) else 0.0
-    return int(program + 2 * kept * largest + more + max(depth_bytes, texturing_surfaces, frames))
+
+    job: TourJob
+    config: RunConfig
+    sources: Sequence[tuple[int, int]]
+    depths: Sequence[tuple[int, int]]
+    looks_ahead: bool
+
+    @cached_property
+    def is_8_bit(self) -> bool:
+        """Whether all panoramas are samples of 8 bits."""
+        return all(read_header(image).dtype == "uint8" for image in self.job.images)
+
+    @property
+    def pixels(self) -> int:
+        """Of the largest panorama."""
+        return max(height * width for height, width in self.sources)
+
+    @property
+    def vertices(self) -> int:
+        """Of the largest surface."""
+        return max(height * width for height, width in self.depths)
+
+    def of_surfaces(self, footprint: Footprint) -> int:
+        """Bytes while depth is found and while something is made of a surface."""
+        config, pixels, vertices, count = self.config, self.pixels, self.vertices, len(self.sources)
+        program = config.depth.bytes_of_program(self.depths)
+        panorama = FLOAT_PIXEL_BYTES + (3 if self.is_8_bit else FLOAT_PIXEL_BYTES)
+        more = (panorama * pixels + UNCOLLECTED_BYTES) if count > 2 else 0.0
+        if self.looks_ahead:
+            more += panorama * pixels + LOOK_AHEAD_VERTEX_BYTES * vertices
+        picture = pixels if footprint.columns is None else min(pixels, footprint.columns**2 // 2)
+        kept = count * (footprint.per_pixel * picture + footprint.per_vertex * vertices)
+        drawing_bytes = max(
+            config.depth.strategy.bytes_of_estimation(self.depths),
+            footprint.writing * pixels + config.renderer_strategy.building_bytes * vertices,
+            count * footprint.closing * vertices,
+        )
+        return int(program + 2 * panorama * pixels + more + kept + drawing_bytes)
+
+    def of_frames(self, job: InterpolationJob, size: tuple[int, int]) -> int:
+        """Bytes while depth is sharpened, while surfaces are made, and while frames of a size are."""
+        config, pixels, vertices = self.config, self.pixels, self.vertices
+        source, program = config.depth.strategy, config.depth.bytes_of_program(self.depths)
+        renderer = config.renderer_strategy
+        is_kept_as_samples = self.is_8_bit and renderer.shades_on_demand
+        kept = (3 if self.is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
+        texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
+        frames = _bytes_of_frames(job, config, size) + FLOAT_PIXEL_BYTES * pixels
+        if not config.draws_surfaces:
+            return int(program + 2 * kept * pixels + frames)
+        depth_bytes = source.bytes_of_estimation(self.depths)
+        if source.refines(self.depths):
+            depth_bytes += 2 * FLOAT_PIXEL_BYTES * pixels
+        ahead = 0.0
+        if self.looks_ahead:
+            ahead = (FLOAT_PIXEL_BYTES + (3 if self.is_8_bit else 0)) * pixels + LOOK_AHEAD_VERTEX_BYTES * vertices
+            ahead += UNCOLLECTED_BYTES
+        texturing_surfaces = 2 * renderer.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * pixels
+        frames += 2 * renderer.kept_bytes * vertices
+        return int(program + 2 * kept * pixels + ahead + max(depth_bytes, texturing_surfaces, frames))
 
 
 def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, int]) -> float:
@@ -144,11 +127,6 @@ def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, 
     is_judged = config.fallback == "crossfade" or config.confidence
     marked = 1 if config.supersamples else 0
     frame = ROUNDED_COPY_BYTES if is_rounded(job) else 12 + FRAME_COPY_BYTES
-    whole = (
-        2 * (renderer.pixel_bytes + (16 if is_held else 0))
-        + 1
-        + marked
-        + frame
-        + (CONFIDENCE_BYTES if is_judged else 0)
-    )
+    held, judged = 16 if is_held else 0, CONFIDENCE_BYTES if is_judged else 0
+    whole = 2 * (renderer.pixel_bytes + held) + 1 + marked + frame + judged
     return fusion.network_bytes(pixels) + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

@@ -1,51 +1,56 @@
 """What a walk consists of: panoramas, pairs of neighbours with their surfaces, and the program's rules as numbers."""
 
 import zlib
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
+from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
+from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE, SAME_POINT_TOLERANCE
+from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
-from omnisyn_cli.interpolation.viewer.correction import CORRECTION_SCALE, NO_CORRECTION, correction_of
-from omnisyn_cli.interpolation.viewer.packing import (
-    Blocks,
-    confidence_codes,
-    inverse_depth_codes,
-    packed_mask,
-    packed_photograph,
-)
+from omnisyn_cli.interpolation.viewer.packing import Blocks, confidence_codes, inverse_depth_codes, packed_mask
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.images import read_picture
 from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
 from omnisyn_cli.poses.tour import FloorPlan, Hotspot, StartView
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import MAX_FULL_RESOLUTION_LEVEL, MIP_BIAS
-from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
+from omnisyn_cli.synthesis.frame import fuse_frame
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, KnownDepth
 
-UP_AXIS = 1
-
-MIN_GROUND_COSINE = 0.8
-"""Cosine of the angle from straight down up to which ground is looked for."""
-
-DEFAULT_EYE_HEIGHT_METRES = 1.5
+UP_AXIS, MIN_GROUND_COSINE, DEFAULT_EYE_HEIGHT_METRES = 1, 0.8, 1.5
+"""Of the world; of the angle from straight down up to which ground is looked for; where there is none."""
 
 FORMAT_VERSION = 1
 """Of the manifest; a reader refuses others."""
 
 HOTSPOT_PIXELS, PLAN_PIXELS = 1600, 2048
 """Longer side of the pictures of hotspots, and of a floor plan."""
+
+NO_CORRECTION, CORRECTION_SCALE = 128, 127
+"""Value of a sample that changes nothing, and samples for a change by the whole range."""
+
+CORRECTION_ROWS, CORRECTION_SHARE, MIN_CORRECTION = 512, 0.7, 4
+"""Of the picture: more rows gain nothing. Of the change that is kept, as the network answers a little differently for
+every heading: all of it gains less. In samples: a picture that changes less everywhere is left out."""
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
@@ -68,34 +73,6 @@ RULES: Mapping[str, float] = {
 """Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
 
 
-@dataclass(frozen=True)
-class ViewOptions:
-    """How a walk is packed.
-
-    Attributes:
-        texture: columns that photographs have at most.
-        is_lossless: whether photographs are kept as PNG, several times as large, instead of JPEG.
-    """
-
-    texture: int = 4096
-    is_lossless: bool = False
-
-
-@dataclass(frozen=True)
-class PackedViewer:
-    """A web viewer that has been packed.
-
-    Attributes:
-        title: of the page.
-        manifest: plain values, see ``docs/view.md``; they name blocks by number.
-        contents: the blocks, unless they have been written already.
-    """
-
-    title: str
-    manifest: dict[str, Any]
-    contents: tuple[bytes, ...] = ()
-
-
 class TourPacker:
     """Packs the pairs of a tour.
 
@@ -104,17 +81,15 @@ class TourPacker:
 
     Args:
         plan: of the tour.
-        options: how it is packed.
-        keep: is given the number and the content of every block; None holds them until all are there.
+        texture: columns that photographs have at most.
+        is_lossless: whether they are kept as PNG instead of JPEG.
+        folder: where blocks are written; None holds them.
     """
 
     def __init__(
-        self, plan: TourPlan, options: ViewOptions, keep: Callable[[int, bytes], object] | None = None
+        self, plan: TourPlan, texture: int = 4096, *, is_lossless: bool = False, folder: Path | None = None
     ) -> None:
-        self._plan, self._options = plan, options
-        self._contents: list[bytes] = []
-        self._has_half = keep is not None
-        self.blocks = Blocks(keep or (lambda number, content: self._contents.append(content)))
+        self._plan, self._texture, self._is_lossless, self.blocks = plan, texture, is_lossless, Blocks(folder)
         self._said = {real_path(panorama.image): panorama for panorama in plan.tour.panoramas}
         self._panoramas: dict[int, dict[str, Any]] = {}
         self._surfaces: list[dict[str, Any]] = []
@@ -142,26 +117,22 @@ class TourPacker:
 
     def _correction(self, pair: PairSurfaces) -> dict[str, Any] | None:
         samples = correction_of(self._plan, pair)
-        if samples is None:
-            return None
-        content, kind = packed_photograph(samples, is_lossless=self._options.is_lossless)
-        return {"block": self.blocks.add(content), **kind}
+        return None if samples is None else self.blocks.add_photograph(samples, is_lossless=self._is_lossless)
 
-    def packed(self) -> PackedViewer:
-        """All of it."""
+    def manifest(self) -> dict[str, Any]:
+        """Plain values, see ``docs/view.md``; they name blocks by number."""
         tour = self._plan.tour
         tables = np.concatenate([QUARTER_INVERSE_DEPTHS.reshape(16, -1), QUARTER_DIRECTIONS.reshape(1, -1)])
         panoramas, links = ([found[k] for k in sorted(found)] for found in (self._panoramas, self._links))
-        manifest = {
+        return {
             "version": FORMAT_VERSION, "title": tour.title, "isGeographic": tour.is_geographic,
             "start": self._start(tour.start), "panoramas": panoramas, "links": links, "surfaces": self._surfaces,
             "hotspots": self._hotspots(tour.hotspots), "plan": self._floor,
             "tables": tables.ravel().tolist(), "files": None,
         }  # fmt: skip
-        return PackedViewer(tour.title, manifest, tuple(self._contents))
 
     def _panorama(self, surface: PanoramaSurface) -> dict[str, Any]:
-        view, width = surface.view, self._options.texture
+        view, width = surface.view, self._texture
         image = self._plan.job.images[surface.index]
         said = self._said[real_path(image)]
         samples = surface.samples(width)
@@ -169,32 +140,24 @@ class TourPacker:
         if view.mask is not None and not view.mask.all():
             mask = self.blocks.add_map(packed_mask(view.mask, width))
         return {
-            "name": said.name,
-            "title": said.title,
-            "caption": said.caption,
-            "eyeHeight": _eye_height(surface),
-            "position": view.pose.position.tolist(),
-            "rotation": view.pose.rotation.ravel().tolist(),
-            "photo": self.blocks.add_levels(samples, is_lossless=self._options.is_lossless, has_half=self._has_half),
-            "mask": mask,
+            "name": said.name, "title": said.title, "caption": said.caption, "eyeHeight": _eye_height(surface),
+            "position": view.pose.position.tolist(), "rotation": view.pose.rotation.ravel().tolist(),
+            "photo": self.blocks.add_levels(samples, is_lossless=self._is_lossless), "mask": mask,
             "hotspots": self._hotspots(said.hotspots, surface),
-        }
+        }  # fmt: skip
 
     def _hotspots(self, hotspots: Iterable[Hotspot], surface: PanoramaSurface | None = None) -> list[dict[str, Any]]:
         return [
             {
-                "text": hotspot.text,
-                "link": hotspot.link,
-                "image": None if hotspot.image is None else self._pictures[hotspot.image],
-                "place": _place(hotspot, surface),
+                "text": each.text, "link": each.link, "image": each.image and self._pictures[each.image],
+                "place": _place(each, surface),
             }
-            for hotspot in hotspots
-        ]
+            for each in hotspots
+        ]  # fmt: skip
 
     def _picture(self, file: Path, longest_side: int) -> dict[str, Any]:
         """Encoded anew: what else a file holds stays where it is."""
-        content, kind = packed_photograph(read_picture(file, longest_side), is_lossless=file.suffix.lower() == ".png")
-        return {"block": self.blocks.add(content), **kind}
+        return self.blocks.add_photograph(read_picture(file, longest_side), is_lossless=file.suffix.lower() == ".png")
 
     def _packed_floor(self, plan: FloorPlan) -> dict[str, Any]:
         """The floor plan, with the places (x, z) of its upper left, upper right and lower left corner."""
@@ -233,14 +196,10 @@ class TourPacker:
         codes, peak = inverse_depth_codes(mesh.inverse_depth)
         surface_confidence = confidence_codes(mesh)
         return {
-            "rows": mesh.size[0],
-            "cols": mesh.size[1],
-            "peak": peak,
-            "poles": _poles(mesh),
-            "inverseDepth": self.blocks.add_map(codes),
-            "quads": self.blocks.add_map(mesh.quads),
+            "rows": mesh.size[0], "cols": mesh.size[1], "peak": peak, "poles": _poles(mesh),
+            "inverseDepth": self.blocks.add_map(codes), "quads": self.blocks.add_map(mesh.quads),
             "trust": None if surface_confidence is None else self.blocks.add_map(surface_confidence),
-        }
+        }  # fmt: skip
 
 
 def _eye_height(surface: PanoramaSurface) -> float:
@@ -275,3 +234,34 @@ def _gains(curve: ExposureCurve) -> list[list[float]] | None:
         return None
     of_both = [curve.gains_at(STORED_LEVELS, of_second=of_second) for of_second in (False, True)]
     return [np.round(gains.T, 4).ravel().tolist() for gains in of_both]
+
+
+def correction_of(plan: TourPlan, pair: PairSurfaces) -> UInt8[np.ndarray, "rows cols 3"] | None:
+    """What the fusion network changes half way, as a panorama that looks along −z of the world; None where it does not.
+
+    A page blends by rules alone (:mod:`omnisyn_cli.fusion.blend_rule`). A video also suppresses ghosts and lets a
+    network correct the frame. The difference of both half way is small and smooth enough to be kept as a picture.
+    """
+    first, second = (surface.view for surface in pair.surfaces)
+    rows = min(CORRECTION_ROWS, *(view.image.shape[0] // 2 * 2 for view in (first, second)))
+    size, threads, config = (rows, 2 * rows), plan.job.threads, plan.config
+    if config.fusion != "network" or at_same_position(first.pose, second.pose):
+        return None
+    waypoint = Waypoint(0, 0.5, Pose(np.eye(3), (first.pose.position + second.pose.position) / 2.0))
+    views = [replace(surface.view, known_depth=surface.depth) for surface in pair.surfaces]
+    plain = replace(config, renderer="mesh", adaptive=False, edges=False, fallback="none")
+    fuser = make_fuser("network", FuserSettings(size, threads, config.fusion_rows, edges=False), device=config.device)
+    with limited_threads(threads):
+        method = make_method(plain, size, threads=threads, estimator=KnownDepth(), fuser=fuser)
+        if not isinstance(method, SurfaceMethod):
+            return None
+        prepared = method.prepare(0, views).prepared
+        rules = GeometricFuser(size, threads=threads, edges=False).blend_by_rule
+        by_rule, fused = (
+            fuse_frame(prepared, waypoint, one, method.options, method.clock, None).frame.image.copy()
+            for one in (rules, fuser)
+        )
+    change = np.rint(CORRECTION_SCALE * CORRECTION_SHARE * np.clip(fused - by_rule, -1.0, 1.0))
+    if np.abs(change).max() < MIN_CORRECTION:
+        return None
+    return np.asarray(NO_CORRECTION + change, np.uint8)

@@ -6,7 +6,7 @@ choice, PNG 1.2, section 6.6), all low bytes before all high bytes, deflated; ``
 
 import hashlib
 import zlib
-from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,17 +14,15 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 
 from omnisyn_cli.io.encode import jpeg_bytes
+from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.render.mesh import Mesh
 
 NO_SURFACE_CODE = 65535
 """Code of a vertex without a surface; those of inverse depths are smaller."""
 
-JPEG_QUALITY = 88
-"""Of JPEG files: at 92 they are a third larger."""
-
-
-PREVIEW_COLUMNS, PREVIEW_QUALITY = 768, 72
-"""Width and JPEG quality of the first picture of a panorama: it takes some 50 kB, so that something shows at once."""
+JPEG_QUALITY, PREVIEW_COLUMNS, PREVIEW_QUALITY = 88, 768, 72
+"""Of JPEG files: at 92 they are a third larger. Of the first picture of a panorama: it takes some 50 kB, so that
+something shows at once."""
 
 MIN_REDUCTION = 1.5
 """Ratio of the widths of a photograph's levels: less is not worth a level of its own."""
@@ -37,15 +35,20 @@ def level_widths(width: int, *, has_half: bool) -> list[int]:
     return [*preview, *half, width]
 
 
+def block_name(number: int) -> str:
+    """File name of a block in a folder."""
+    return f"{number:04d}.bin"
+
+
 class Blocks:
     """The blocks of a page, numbered in the order in which they were added; equal ones are kept once.
 
-    Args:
-        keep: is given the number and the content of every new block.
+    They are held until all are there, or written into a folder at once, so that a long tour does not have to be held.
     """
 
-    def __init__(self, keep: Callable[[int, bytes], object]) -> None:
-        self._keep, self._numbers = keep, dict[bytes, int]()
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder, self._numbers = folder, dict[bytes, int]()
+        self.contents: list[bytes] = []
         self.size = 0
 
     def __len__(self) -> int:
@@ -57,7 +60,10 @@ class Blocks:
         if digest not in self._numbers:
             self._numbers[digest] = len(self._numbers)
             self.size += len(content)
-            self._keep(self._numbers[digest], content)
+            if self.folder is None:
+                self.contents.append(content)
+            else:
+                write_parts(self.folder / block_name(self._numbers[digest]), [content])
         return self._numbers[digest]
 
     def add_map(self, values: UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]) -> dict[str, int]:
@@ -65,19 +71,21 @@ class Blocks:
         rows, cols = values.shape
         return {"block": self.add(packed_map(values)), "rows": rows, "cols": cols, "depth": values.itemsize}
 
-    def add_levels(
-        self, samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool, has_half: bool
-    ) -> list[dict[str, Any]]:
+    def add_levels(self, samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool) -> list[dict[str, Any]]:
         """A photograph in several sizes, see :func:`level_widths`."""
         full = samples.shape[1]
         levels = []
-        for width in level_widths(full, has_half=has_half):
+        for width in level_widths(full, has_half=self.folder is not None):
             size = (width, round(samples.shape[0] * width / full))
             reduced = samples if width == full else cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
             quality = PREVIEW_QUALITY if width == PREVIEW_COLUMNS < full else JPEG_QUALITY
-            content, kind = packed_photograph(reduced, is_lossless=is_lossless and width == full, quality=quality)
-            levels.append({"block": self.add(content), **kind})
+            levels.append(self.add_photograph(reduced, is_lossless=is_lossless and width == full, quality=quality))
         return levels
+
+    def add_photograph(self, samples: np.ndarray, **how: Any) -> dict[str, Any]:
+        """A photograph in one size, see :func:`packed_photograph`."""
+        content, kind = packed_photograph(samples, **how)
+        return {"block": self.add(content), **kind}
 
 
 def packed_map(values: UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]) -> bytes:
@@ -111,12 +119,11 @@ def packed_photograph(
     samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool, quality: int = JPEG_QUALITY
 ) -> tuple[bytes, dict[str, Any]]:
     """A photograph as a file, and its kind and size."""
-    kind, data = ("png", _png_bytes(samples)) if is_lossless else ("jpeg", jpeg_bytes(samples, quality))
+    if is_lossless:
+        kind, data = "png", cv2.imencode(".png", np.ascontiguousarray(samples[..., ::-1]))[1].tobytes()
+    else:
+        kind, data = "jpeg", jpeg_bytes(samples, quality)
     return data, {"type": f"image/{kind}", "width": samples.shape[1], "height": samples.shape[0]}
-
-
-def _png_bytes(samples: UInt8[np.ndarray, "height width 3"]) -> bytes:
-    return bytes(cv2.imencode(".png", np.ascontiguousarray(samples[..., ::-1]))[1].tobytes())
 
 
 def packed_mask(mask: Bool[np.ndarray, "height width"], width: int) -> UInt8[np.ndarray, "rows cols"]:

@@ -4,13 +4,15 @@ import base64
 import hashlib
 import json
 import re
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omnisyn_cli.interpolation.viewer.contents import RULES, PackedViewer
+from omnisyn_cli.interpolation.viewer.contents import RULES
+from omnisyn_cli.interpolation.viewer.packing import Blocks, block_name
 from omnisyn_cli.io.outputs import write_parts
 
 MAX_PAGE_BYTES = 32 * 2**20
@@ -28,40 +30,34 @@ INDEX_NAME, MODULE_NAME, MANIFEST_NAME = "index.html", "omnisyn-walk.js", "walk.
 NAMED_BLOCK = re.compile(r'(?<=")\d{4,}\.bin(?=")')
 """Names of blocks in the text of a manifest."""
 
-
 NEEDS_A_SERVER = "<p>Browsers read the files of this walk from a web server only, such as omnisyn view --serve.</p>\n"
 """What a folder's page shows where it cannot load its program."""
 
 
-def block_name(number: int) -> str:
-    """File name of a block in a folder."""
-    return f"{number:04d}.bin"
-
-
-def write_page(path: Path, packed_viewer: PackedViewer) -> int:
-    """Write the viewer as one file, whole or not at all; how many bytes it has."""
+def write_page(path: Path, manifest: dict[str, Any], contents: Sequence[bytes]) -> int:
+    """Write a walk and its blocks as one file, whole or not at all; how many bytes it has."""
     blocks = "".join(
         f'<script type="text/plain" id="block-{number}">{base64.b64encode(content).decode("ascii")}</script>\n'
-        for number, content in enumerate(packed_viewer.contents)
+        for number, content in enumerate(contents)
     )
-    held = f'<script type="application/json" id="walk">{_for_script(packed_viewer.manifest)}</script>\n{blocks}'
-    page = _page(packed_viewer.title, held, module_code() + _read("page.js"), folder=False)
+    held = f'<script type="application/json" id="walk">{_for_script(manifest)}</script>\n{blocks}'
+    page = _page(manifest["title"], held, module_code() + _read("page.js"), folder=False)
     write_parts(path, [page])
     return len(page)
 
 
-def write_folder(folder: Path, packed_viewer: PackedViewer, blocks: int) -> int:
-    """Write what a folder has besides its blocks, of which there are so many; how many bytes that is."""
-    names = [block_name(number) for number in range(blocks)]
+def write_folder(folder: Path, manifest: dict[str, Any], blocks: Blocks) -> int:
+    """Write what a folder has besides its blocks; how many bytes all of it has."""
+    names = [block_name(number) for number in range(len(blocks))]
     script = f"import {{ OmnisynWalk }} from './{MODULE_NAME}';\n{_read('page.js')}"
     files = {
-        INDEX_NAME: _page(packed_viewer.title, NEEDS_A_SERVER, script, folder=True),
+        INDEX_NAME: _page(manifest["title"], NEEDS_A_SERVER, script, folder=True),
         MODULE_NAME: module_code().encode(),
-        MANIFEST_NAME: _for_script({**packed_viewer.manifest, "files": names}).encode(),
+        MANIFEST_NAME: _for_script({**manifest, "files": names}).encode(),
     }
     for name, content in files.items():
         write_parts(folder / name, [content])
-    return sum(map(len, files.values()))
+    return blocks.size + sum(map(len, files.values()))
 
 
 def _page(title: str, held: str, script: str, *, folder: bool) -> bytes:
@@ -79,16 +75,13 @@ def _page(title: str, held: str, script: str, *, folder: bool) -> bytes:
 def module_code() -> str:
     """The program as one ES module, with the rules as constants of scripts and shaders, its elements and its style."""
     numbers = {name: f"{value:.9g}" for name, value in RULES.items()}
-    defines = "".join(f"#define {name} {_with_point(number)}\n" for name, number in numbers.items())
+    defines = "".join(  # shaders take floating-point numbers with a point
+        f"#define {name} {number}{'' if set(number) & {'.', 'e'} else '.0'}\n" for name, number in numbers.items()
+    )
     constants = "".join(f"const {name} = {number};\n" for name, number in numbers.items())
     texts = {"MARKUP": _read("walk.html"), "STYLE": _read("walk.css")}
     held = "".join(f"const {name} = {_for_script(text)};\n" for name, text in texts.items())
     return f"{constants}const CONSTANTS = `{defines}`;\n{held}" + "\n".join(_read(f"{name}.js") for name in SCRIPTS)
-
-
-def _with_point(number: str) -> str:
-    """As a shader takes a floating-point number."""
-    return number if "." in number or "e" in number else f"{number}.0"
 
 
 @cache

@@ -12,19 +12,15 @@ from omnisyn_cli.interpolation.viewer.page import INDEX_NAME, MANIFEST_NAME, MOD
 from omnisyn_cli.io.documents import read_file_itself
 
 HOST = "127.0.0.1"
-
 LOCAL_NAMES = (HOST, "localhost")
 """Names of this machine. A page from elsewhere may have its own name lead here, and must not read what is answered."""
 
 CONTENT_TYPES = {
-    INDEX_NAME: "text/html; charset=utf-8",
-    MODULE_NAME: "text/javascript; charset=utf-8",
+    INDEX_NAME: "text/html; charset=utf-8", MODULE_NAME: "text/javascript; charset=utf-8",
     MANIFEST_NAME: "application/json",
-}
-"""Of files with names of their own; all others are blocks."""
-
+}  # fmt: skip
 BLOCK_NAME = re.compile(r"\d+\.bin", re.ASCII)
-"""What :func:`omnisyn_cli.interpolation.viewer.page.block_name` names."""
+"""Of files with names of their own; all others are blocks, see :mod:`omnisyn_cli.interpolation.viewer.packing`."""
 
 SOCKET_TIMEOUT_SECONDS = 30
 
@@ -50,7 +46,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.FORBIDDEN)
             return
         name = self.path.partition("?")[0].removeprefix("/") or INDEX_NAME
-        content = self._content(name)
+        is_known = name in CONTENT_TYPES or BLOCK_NAME.fullmatch(name)
+        content = read_file_itself(self._folder / name) if is_known else None  # no links, which lead elsewhere
         if content is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
@@ -64,11 +61,6 @@ class _Handler(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         """What there is to say about it."""
         self.do_GET()
-
-    def _content(self, name: str) -> bytes | None:
-        """A file of the walk; None for every other name, and for links, which lead elsewhere."""
-        is_known = name in CONTENT_TYPES or BLOCK_NAME.fullmatch(name)
-        return read_file_itself(self._folder / name) if is_known else None
 
     def send_response(self, code: int, message: str | None = None) -> None:
         """The first line of an answer, without name and version of the program."""
