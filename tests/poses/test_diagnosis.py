@@ -6,8 +6,7 @@ from registration_samples import MADE, PIXEL, matches_of, random_pose, street_ma
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.poses.registration.conventions import combined_hypotheses, heading_angles, single_hypotheses
-from omnisyn_cli.poses.registration.diagnosis import diagnose
-from omnisyn_cli.poses.registration.diagnosis_text import diagnosis_sentences, diagnosis_values
+from omnisyn_cli.poses.registration.diagnosis import diagnose, diagnosis_sentences, diagnosis_values
 from omnisyn_cli.poses.registration.features import Matches
 
 every_mistake = pytest.mark.parametrize("name", MADE)

@@ -116,12 +116,9 @@ def poses() -> None:
 )  # fmt: skip
 @click.option("--floor", help="Floor of a ZInD tour, e.g. floor_01.  [default: the only one]")
 @click.option(
-    "--time-tolerance",
-    type=FiniteRange(0),
-    default=0.02,
-    show_default=True,
+    "--time-tolerance", type=FiniteRange(0), default=0.02, show_default=True,
     help="Largest difference in seconds between the time stamps of poses and images.",
-)
+)  # fmt: skip
 @click.option("--allow-outside", is_flag=True, help="Accept images outside the folder of SOURCE.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @quiet_option
@@ -144,8 +141,7 @@ def import_(
 
     Every assumption is printed on stderr, one line each.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.io import check_output
-    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.io.outputs import check_kept, check_output
     from omnisyn_cli.poses.formats import ImportOptions, import_poses, write_imported
 
     check_kept([output], sources)
@@ -199,7 +195,7 @@ def check(images: tuple[Path, ...], poses: Path | None, allow_outside: bool, as_
     """
     from omnisyn_cli.poses.estimation import check_poses
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.poses.registration.diagnosis_text import (
+    from omnisyn_cli.poses.registration.diagnosis import (
         camera_height_sentence,
         diagnosis_sentences,
         diagnosis_values,
@@ -241,8 +237,7 @@ def refine(
     The first pose and the distances between neighbours stay. Poses that cannot be improved stay too. The correction of
     every pair is printed.
     """
-    from omnisyn_cli.io import check_output
-    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.io.outputs import check_kept, check_output
     from omnisyn_cli.poses.estimation import refine_poses
     from omnisyn_cli.poses.file import check_companions_named, read_poses, write_poses
 
@@ -283,8 +278,7 @@ def estimate(
     if bool(baselines) == (camera_height is not None):
         given, remedy = ("both", "leave out one of them") if baselines else ("neither", "give one")
         raise click.UsageError(f"expected --baseline or --camera-height, got {given}; {remedy}")
-    from omnisyn_cli.io import check_output
-    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.io.outputs import check_kept, check_output
     from omnisyn_cli.poses.estimation import estimate_poses
     from omnisyn_cli.poses.file import write_poses
 

@@ -21,7 +21,7 @@ from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.estimation import PairDiagnosis, PictureOptions, check_poses
 from omnisyn_cli.poses.file import PoseFile, distinct_names
 from omnisyn_cli.poses.floor import height_in_depth
-from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, diagnosis_sentences
+from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, diagnosis_sentences
 from omnisyn_cli.types import View
 
 PICTURE_COLUMNS = 1024

@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.pose import interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
-from omnisyn_cli.poses.registration.diagnosis_text import camera_height_sentence, is_plausible_camera_height
+from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, is_plausible_camera_height
 from omnisyn_cli.synthesis.trajectory import path_length
 
 CONFIDENCE_WORDS = ((0.6, "high"), (0.45, "medium"), (MIN_PAIR_SCORE, "low"), (0.0, "very low"))

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Callable
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
 
@@ -30,6 +31,9 @@ MAX_COORDINATE = 1e8
 MAX_TEXT_CHARS = 2000
 """Of a title, a caption or the text of a hotspot."""
 
+CONTROL_CHARACTERS = re.compile(r"[\0-\x09\x0b-\x1f\x7f\ud800-\udfff]")
+"""Those that no text of a user has; a line may end."""
+
 Metres = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
@@ -55,49 +59,39 @@ def _inside_folder(name: str, info: ValidationInfo) -> str:
     return name
 
 
-def _square(matrix: list[list[float]]) -> list[list[float]]:
-    lengths = {len(row) for row in matrix}
-    if lengths != {len(matrix)} or len(matrix) not in (3, 4):
-        raise ValueError("a 3×3 or 4×4 matrix as a list of rows")
-    return matrix
+def _expected(what: str, holds: Callable[[Any], bool]) -> AfterValidator:
+    """A condition of a value, and the words of its error."""
 
+    def checked(value: Any) -> Any:
+        if not holds(value):
+            raise ValueError(what)
+        return value
 
-def _quaternion(numbers: list[float]) -> list[float]:
-    if len(numbers) != 4:
-        raise ValueError("a unit quaternion [w, x, y, z]")
-    return numbers
-
-
-def _first_version(version: Any) -> int:
-    if type(version) is not int or version != 1:
-        raise ValueError("1, the only version there is")
-    return version
-
-
-def _readable(text: str) -> str:
-    if re.search(r"[\0-\x09\x0b-\x1f\x7f\ud800-\udfff]", text):
-        raise ValueError("text without control characters")
-    return text
-
-
-def _two_names(names: list[str]) -> list[str]:
-    if len(names) != 2 or names[0] == names[1]:
-        raise ValueError("the names of two different panoramas")
-    return names
+    return AfterValidator(checked)
 
 
 File = Annotated[str, AfterValidator(_inside_folder)]
 
-Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
+Matrix = Annotated[
+    list[list[Metres]],
+    _expected(
+        "a 3×3 or 4×4 matrix as a list of rows", lambda rows: len(rows) in (3, 4) and {*map(len, rows)} == {len(rows)}
+    ),
+]
 
-Quaternion = Annotated[list[float], AfterValidator(_quaternion)]
+Quaternion = Annotated[list[float], _expected("a unit quaternion [w, x, y, z]", lambda numbers: len(numbers) == 4)]
 
+Text = Annotated[
+    str,
+    Field(max_length=MAX_TEXT_CHARS),
+    _expected("text without control characters", lambda text: not CONTROL_CHARACTERS.search(text)),
+]
 
-Text = Annotated[str, Field(max_length=MAX_TEXT_CHARS), AfterValidator(_readable)]
+FirstVersion = Annotated[Any, _expected("1, the only version there is", lambda n: type(n) is int and n == 1)]
 
-FirstVersion = Annotated[Any, AfterValidator(_first_version)]
-
-LinkEntry = Annotated[list[str], AfterValidator(_two_names)]
+LinkEntry = Annotated[
+    list[str], _expected("the names of two different panoramas", lambda names: len(names) == 2 == len(set(names)))
+]
 
 
 class Model(BaseModel):
@@ -148,6 +142,11 @@ class GeographicEntry(Model):
     title: Text = ""
     caption: Text = ""
 
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """Latitude and longitude in degrees and altitude in metres: where a world may begin."""
+        return self.latitude, self.longitude, self.altitude
+
 
 COMMON_KEYS = frozenset({"depth", "mask", "title", "caption"})
 
@@ -161,16 +160,9 @@ def pose_from_entry(entry: RigidEntry | GeographicEntry, where: str, origin: tup
     if isinstance(entry, RigidEntry):
         return _rigid_pose(where, entry)
     # Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
-    east, north, up = enu_from_geographic(
-        entry.latitude, entry.longitude, entry.altitude, origin or entry_origin(entry)
-    )
+    east, north, up = enu_from_geographic(*entry.origin, origin or entry.origin)
     angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
     return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
-
-
-def entry_origin(entry: GeographicEntry) -> tuple[float, float, float]:
-    """Latitude and longitude in degrees and altitude in metres: where a world may begin."""
-    return entry.latitude, entry.longitude, entry.altitude
 
 
 def _rigid_pose(where: str, entry: RigidEntry) -> Pose:

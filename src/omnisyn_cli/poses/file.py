@@ -26,7 +26,6 @@ from omnisyn_cli.poses.entries import (
     GeographicEntry,
     PoseDocument,
     RigidEntry,
-    entry_origin,
     path_problem,
     pose_from_entry,
     rigid_rotation,
@@ -216,15 +215,21 @@ def _json(value: Any) -> str:
 def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     document = validated(path, PoseDocument, value)
     entries = {name: _entry(path, name, entry, allow_outside) for name, entry in document.panoramas.items()}
-    _check_one_world(path, entries)
-    origin = next((entry_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
+    kinds = {isinstance(entry, GeographicEntry): name for name, entry in reversed(entries.items())}  # the first of each
+    if len(kinds) > 1:
+        raise PoseError(
+            f"{path}: expected all panoramas in one world, got '{kinds[True]}' with latitude and longitude mixed with "
+            f"'{kinds[False]}' with a position; write all in the same way"
+        )
+    origin = next((entry.origin for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {}
     for name, entry in entries.items():
         pose = pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
-        files = {key: _companion(path, name, key, getattr(entry, key), allow_outside) for key in ("depth", "mask")}
-        panoramas[name] = PosedPanorama(
-            pose, **files, title=entry.title, caption=entry.caption, uncertainty=_uncertainty(entry)
+        depth, mask = (
+            None if file is None else file_beside(path, file, f"panoramas.'{name}'.{key}", "pose file", allow_outside)
+            for key, file in (("depth", entry.depth), ("mask", entry.mask))
         )
+        panoramas[name] = PosedPanorama(pose, depth, mask, entry.title, entry.caption, _uncertainty(entry))
     return PoseFile(path, panoramas, _links(path, document, panoramas), origin is not None)
 
 
@@ -243,26 +248,26 @@ def _uncertainty(entry: RigidEntry | GeographicEntry) -> PoseUncertainty | None:
     return PoseUncertainty(math.radians(entry.uncertainty.rotation_deg), None if percent is None else percent / 100.0)
 
 
-def _companion(path: Path, name: str, key: str, file: str | None, allow_outside: bool) -> Path | None:
-    """The file that an entry names; a link to somewhere else is as much outside as a name that leads there."""
-    if file is None:
-        return None
+def file_beside(path: Path, file: str, where: str, kind: str, allow_outside: bool) -> Path:
+    """The file that a pose file or a tour file (``kind``) names; PoseError: a link that leads out of its folder.
+
+    Such a link is as much outside as a name that leads there; ``where`` is the key that names the file.
+    """
     named = path.parent / file
     if not allow_outside and not real_path(named).is_relative_to(real_path(path.parent)):
         raise PoseError(
-            f"{path}: panoramas.'{name}'.{key}: expected a file inside the folder of the pose file, got '{file}', a "
-            "link that leads out of it; commands with --allow-outside accept it"
+            f"{path}: {where}: expected a file inside the folder of the {kind}, got '{file}', a link that leads out of "
+            "it; commands with --allow-outside accept it"
         )
     return named
 
 
-def _entry(path: Path, name: str, value: Any, allow_outside: bool) -> RigidEntry | GeographicEntry:
+def _entry(path: Path, name: str, value: Mapping[str, Any], allow_outside: bool) -> RigidEntry | GeographicEntry:
     """One entry, of the kind that its keys announce."""
     where = ("panoramas", name)
     if problem := path_problem(name):
         raise PoseError(f"{path}: panoramas: expected the file name of an image, got '{name}' ({problem}); correct it")
-    keys = set(value) if isinstance(value, dict) else set()
-    rigid, geographic = sorted(keys & RIGID_KEYS), sorted(keys & GEOGRAPHIC_KEYS)
+    rigid, geographic = sorted(value.keys() & RIGID_KEYS), sorted(value.keys() & GEOGRAPHIC_KEYS)
     if rigid and geographic:
         raise PoseError(
             f"{path}: panoramas.'{name}': expected either a position or a geographic place, got {', '.join(rigid)} "
@@ -271,17 +276,6 @@ def _entry(path: Path, name: str, value: Any, allow_outside: bool) -> RigidEntry
     if geographic:
         return validated(path, GeographicEntry, value, where, allow_outside=allow_outside)
     return validated(path, RigidEntry, value, where, allow_outside=allow_outside)
-
-
-def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEntry]) -> None:
-    kinds: dict[bool, str] = {}
-    for name, entry in entries.items():
-        kinds.setdefault(isinstance(entry, GeographicEntry), name)
-    if len(kinds) > 1:
-        raise PoseError(
-            f"{path}: expected all panoramas in one world, got '{kinds[True]}' with latitude and longitude mixed with "
-            f"'{kinds[False]}' with a position; write all in the same way"
-        )
 
 
 def _entry_values(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:

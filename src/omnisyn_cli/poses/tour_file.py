@@ -16,7 +16,7 @@ have ``links``, ``title`` and ``caption`` too; ``tour.json`` overrides them.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -27,9 +27,8 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import SAME_POSITION_METRES
 from omnisyn_cli.geometry.sphere import angles_to_direction
 from omnisyn_cli.io.documents import listed, read_json, validated
-from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.poses.entries import File, FirstVersion, LinkEntry, Model, Text, Vector
-from omnisyn_cli.poses.file import PoseFile
+from omnisyn_cli.poses.file import PoseFile, file_beside
 from omnisyn_cli.poses.tour import (
     FloorPlan,
     Hotspot,
@@ -171,9 +170,7 @@ class _Source:
 
     def hotspots(self, entries: Iterable[_HotspotEntry], panorama: str | None = None) -> tuple[Hotspot, ...]:
         """The hotspots of a panorama, or those of the whole tour."""
-        return tuple(self._hotspots(entries, panorama))
-
-    def _hotspots(self, entries: Iterable[_HotspotEntry], panorama: str | None) -> Iterator[Hotspot]:
+        spots = []
         for k, entry in enumerate(entries):
             where = "hotspots" if panorama is None else f"panoramas.'{panorama}'.hotspots"
             has_direction = entry.yaw is not None or entry.pitch is not None
@@ -181,18 +178,20 @@ class _Source:
                 wanted = "a point" if panorama is None else "either yaw and pitch, or a point"
                 found = "both" if has_direction and entry.point else "a direction" if has_direction else "neither"
                 raise PoseError(f"{self._path}: {where}[{k}]: expected {wanted}, got {found}; write one of them")
-            image = self._picture(entry.image, f"{where}[{k}].image")
+            image = None if entry.image is None else self._picture(entry.image, f"{where}[{k}].image")
             direction = None
             if has_direction:
                 yaw, pitch = math.radians(entry.yaw or 0.0), math.radians(entry.pitch or 0.0)
                 direction = np.asarray(angles_to_direction(np.array(yaw), np.array(math.radians(90.0) - pitch)))
             point = None if entry.point is None else np.array(entry.point, float)
-            yield Hotspot(entry.text, entry.link, image, direction, point)
+            spots.append(Hotspot(entry.text, entry.link, image, direction, point))
+        return tuple(spots)
 
     def links(self, names: Sequence[str]) -> tuple[Link, ...]:
         """The links that are written, else those that follow from the positions."""
-        written = self._document.links
-        given = self._poses.links if written is None else [self._link(*link) for link in written]
+        given: Iterable[Sequence[str]] | None = self._poses.links
+        if self._document.links is not None:
+            given = [[self._known(name, "links") for name in link] for link in self._document.links]
         if given is None:
             return links_between(names, np.stack([self._poses.panoramas[name].pose.position for name in names]))
         place = {name: k for k, name in enumerate(names)}
@@ -222,8 +221,6 @@ class _Source:
                 raise PoseError(
                     f"{self._path}: plan.points: expected two points with different {what}, got the same; move one"
                 )
-        if image is None:
-            return None
         return FloorPlan(image, (pixels[0], pixels[1]), (positions[0], positions[1]))
 
     def _position(self, point: _ControlPointEntry, where: str) -> tuple[float, float]:
@@ -236,9 +233,6 @@ class _Source:
         x, _, z = point.position or [0.0, 0.0, 0.0]
         return x, z
 
-    def _link(self, first: str, second: str) -> Link:
-        return self._known(first, "links"), self._known(second, "links")
-
     def _known(self, name: str, where: str) -> str:
         if name not in self._poses.panoramas:
             raise PoseError(
@@ -247,16 +241,8 @@ class _Source:
             )
         return name
 
-    def _picture(self, file: str | None, where: str) -> Path | None:
-        """A picture inside the folder of the tour; a link out of it is refused like a name that leads there."""
-        if file is None:
-            return None
-        picture, folder = self._path.parent / file, self._path.parent
-        if not self._allow_outside and not real_path(picture).is_relative_to(real_path(folder)):
-            raise PoseError(
-                f"{self._path}: {where}: expected a file inside the folder of the tour file, got '{file}', a link that "
-                "leads out of it; commands with --allow-outside accept it"
-            )
+    def _picture(self, file: str, where: str) -> Path:
+        picture = file_beside(self._path, file, where, "tour file", self._allow_outside)
         if not picture.is_file():
             raise PoseError(f"{self._path}: {where}: expected a picture, got no file '{file}'; add it")
         return picture

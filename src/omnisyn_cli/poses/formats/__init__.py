@@ -14,9 +14,9 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import read_json
 from omnisyn_cli.poses.formats.colmap import colmap_files, colmap_rig_files, read_colmap
 from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
-from omnisyn_cli.poses.formats.exif import read_exif
 from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, data_lines, entries, images_in
 from omnisyn_cli.poses.formats.habitat import habitat_folders, read_habitat
+from omnisyn_cli.poses.formats.known_places import read_exif, read_table
 from omnisyn_cli.poses.formats.model import (
     CAMERA_AXES,
     WORLD_UP,
@@ -29,7 +29,6 @@ from omnisyn_cli.poses.formats.model import (
 )
 from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text, read_nerfstudio
 from omnisyn_cli.poses.formats.opensfm import read_opensfm
-from omnisyn_cli.poses.formats.street_view import read_table
 from omnisyn_cli.poses.formats.trajectories import ROTATIONS, read_authors, read_kitti, read_tum
 from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS, export_poses, write_imported
 from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, read_zind

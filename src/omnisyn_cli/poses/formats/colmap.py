@@ -22,7 +22,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.poses.formats.colmap_model import HEADER, IMAGES, Model, Rig, read_model
+from omnisyn_cli.poses.formats.colmap_model import HEADER, IMAGES, Model, read_model
 from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreign_from_pose, noted
 
@@ -36,23 +36,17 @@ MIN_AXES_SPREAD = 0.1
 def read_colmap(source: Path, options: ImportOptions) -> ImportedPoses:
     """Poses of the panoramas of a model: its folder, or one of its files."""
     model = read_model(source)
-    posed = [(image.where, image.name, image.camera_from_world) for image in model.images.values()
-             if model.is_panorama(image)]  # fmt: skip
+    panoramas = [image for image in model.images.values() if model.is_panorama(image)]
+    posed = [(image.where, image.name, image.camera_from_world) for image in panoramas]
     whole = list(_cut_panoramas(model))
-    folder = model.path.parent
-    folders = [
-        candidate for place in (folder, folder.parent, folder.parent.parent) for candidate in (place, place / "images")
-    ]
+    folders = [folder for place in [*model.path.parents][:3] for folder in (place, place / "images")]
     views = [
         find_view(where, name, options.pose(pose.inverse(), camera="opencv", up="-y"), folders, options)
         for where, name, pose in (*posed, *whole)
     ]
     faces = {name for _, name, _ in whole}
-    skipped = [
-        image.name
-        for image in model.images.values()
-        if not model.is_panorama(image) and image.name.partition("/")[2] not in faces
-    ]
+    others = [image.name for image in model.images.values() if not model.is_panorama(image)]
+    skipped = [name for name in others if name.partition("/")[2] not in faces]
     if not views:
         raise PoseError(
             f"{model.path}: expected images of an EQUIRECTANGULAR camera or of a rig cut from panoramas, got "
@@ -81,13 +75,13 @@ def _cut_panoramas(model: Model) -> Iterator[tuple[str, str, Pose]]:
             yield images[0].where, names.pop(), panorama_from_rig @ frame.rig_from_world
 
 
-def _panorama_from_rig(rig: Rig) -> Pose | None:
+def _panorama_from_rig(rig: Mapping[int, Pose]) -> Pose | None:
     """The turn from the reference to the panorama; None where cameras roll, stand apart, or do not tell what is up.
 
     Faces without roll have level x axes. What is orthogonal to all of these is the vertical.
     """
-    turns = np.stack([pose.rotation for pose in rig.cameras.values()])
-    offsets = np.stack([pose.position for pose in rig.cameras.values()])
+    turns = np.stack([pose.rotation for pose in rig.values()])
+    offsets = np.stack([pose.position for pose in rig.values()])
     _, spread, axes = np.linalg.svd(turns[:, 0])
     is_level = len(turns) > 1 and spread[1] > MIN_AXES_SPREAD and (len(spread) < 3 or spread[2] < MAX_LEVEL_ERROR)
     if not is_level or offsets.any():

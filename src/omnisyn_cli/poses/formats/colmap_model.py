@@ -65,14 +65,6 @@ class Image:
 
 
 @dataclass(frozen=True)
-class Rig:
-    """Cameras that are fixed to each other: camera-from-rig of each that has one; the reference's is the identity."""
-
-    reference: int
-    cameras: Mapping[int, Pose]
-
-
-@dataclass(frozen=True)
 class Frame:
     """A rig at one moment, with the numbers of its images."""
 
@@ -89,13 +81,14 @@ class Model:
         path: the file with the images.
         models: names of the models of the cameras; none without a file of cameras.
         images: in the order of the file.
-        rigs, frames: none in models of COLMAP before 3.12.
+        rigs: camera-from-rig of each camera that has one; that of the reference is the identity.
+        frames: none in models of COLMAP before 3.12, like rigs.
     """
 
     path: Path
     models: Mapping[int, str]
     images: Mapping[int, Image]
-    rigs: Mapping[int, Rig] = field(default_factory=dict)
+    rigs: Mapping[int, Mapping[int, Pose]] = field(default_factory=dict)
     frames: Mapping[int, Frame] = field(default_factory=dict)
 
     def is_panorama(self, image: Image) -> bool:
@@ -126,7 +119,7 @@ class _Words:
     """The numbers of a line, one after the other."""
 
     def __init__(self, where: str, line: str) -> None:
-        self.where, self._words = where, iter(line.split())
+        self.where, self.line, self._words = where, line, iter(line.split())
 
     def take(self, codes: str) -> list[Any]:
         """Numbers by the codes of :mod:`struct`: ``d`` is a float, everything else is whole."""
@@ -178,17 +171,16 @@ def _pose(source: _Words | _Bytes) -> Pose:
     return Pose(checked_quaternion(source.where, np.array(values[:4])), np.array(values[4:]))
 
 
-def _rig(source: _Words | _Bytes) -> tuple[int, Rig]:
+def _rig(source: _Words | _Bytes) -> tuple[int, dict[int, Pose]]:
     number, count = source.take("II")
-    reference, cameras = -1, {}
+    cameras = {}
     for index in range(count):
         kind, sensor = source.take("iI")
         has_pose = index > 0 and source.take("B")[0]
         pose = _pose(source) if has_pose else Pose.identity()
         if kind == SENSOR_TYPES["CAMERA"] and (has_pose or index == 0):
             cameras[sensor] = pose
-        reference = sensor if index == 0 else reference
-    return number, Rig(reference, cameras)
+    return number, cameras
 
 
 def _frame(source: _Words | _Bytes) -> tuple[int, Frame]:
@@ -199,12 +191,9 @@ def _frame(source: _Words | _Bytes) -> tuple[int, Frame]:
 
 
 def _binary_model(folder: Path) -> Model:
-    path = folder / BINARY_IMAGES
-    models = dict(_records(folder / "cameras.bin", _camera))
-    return Model(
-        path, models, dict(_records(path, _image)), dict(_records(folder / "rigs.bin", _rig)),
-        dict(_records(folder / "frames.bin", _frame)),
-    )  # fmt: skip
+    readers = {"cameras": _camera, "images": _image, "rigs": _rig, "frames": _frame}
+    parts = (dict(_records(folder / f"{name}.bin", read)) for name, read in readers.items())
+    return Model(folder / BINARY_IMAGES, *parts)
 
 
 def _records(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
@@ -234,10 +223,9 @@ def _image(source: _Bytes) -> tuple[int, Image]:
 
 
 def _text_model(folder: Path) -> Model:
-    path, cameras = folder / IMAGES, folder / "cameras.txt"
-    models = dict(_camera_models(cameras)) if cameras.is_file() else {}
-    rigs, frames = (dict(_lines(folder / name, read)) for name, read in (("rigs.txt", _rig), ("frames.txt", _frame)))
-    return Model(path, models, dict(_text_images(path)), rigs, frames)
+    readers = {"cameras": _text_camera, "rigs": _rig, "frames": _frame}
+    models, rigs, frames = (dict(_lines(folder / f"{name}.txt", read)) for name, read in readers.items())
+    return Model(folder / IMAGES, models, dict(_text_images(folder / IMAGES)), rigs, frames)
 
 
 def _lines(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
@@ -246,12 +234,11 @@ def _lines(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
         yield read(_Words(f"{path}:{number}", line))
 
 
-def _camera_models(path: Path) -> Iterator[tuple[int, str]]:
-    for number, line in data_lines(path):
-        fields = line.split()
-        if len(fields) < 4 or not _is_number(fields[0]):
-            raise PoseError(f"{path}:{number}: expected CAMERA_ID MODEL WIDTH HEIGHT, got '{line:.60}'; correct it")
-        yield int(fields[0]), fields[1].upper()
+def _text_camera(source: _Words) -> tuple[int, str]:
+    fields = source.line.split()
+    if len(fields) < 4 or not _is_number(fields[0]):
+        raise PoseError(f"{source.where}: expected CAMERA_ID MODEL WIDTH HEIGHT, got '{source.line:.60}'; correct it")
+    return int(fields[0]), fields[1].upper()
 
 
 def _text_images(path: Path) -> Iterator[tuple[int, Image]]:

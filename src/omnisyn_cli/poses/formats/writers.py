@@ -134,11 +134,9 @@ def write_imported(
     """Write a pose file for what was imported, and copies of the panoramas beside it if asked for.
 
     Everything appears at once or not at all. Entries are named after the image files, or called by their paths where
-    those are equal; depth files are referred to where
-    they lie in the folder of the pose file, or are copied too.
-
-    With ``copy_images`` panoramas and depth files are copied into the folder of ``output``, under names that differ.
-    The answer tells the user what was left out, or is not where it will be looked for.
+    those are equal. Depth files are referred to where they lie in the folder of the pose file, or with ``copy_images``
+    copied there like the panoramas, under names that differ. The answer tells the user what was left out, or is not
+    where it will be looked for.
 
     Raises:
         PoseError: an image twice, or panoramas that were not found with ``copy_images``.

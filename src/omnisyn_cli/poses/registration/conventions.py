@@ -8,11 +8,13 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 
 from omnisyn_cli.geometry.pose import (
     Pose,
+    heading_from_rotation,
     quaternion_from_rotation,
     rotation_angle,
     rotation_from_heading,
@@ -20,7 +22,6 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_rotation_vector,
     rotation_vector_from_rotation,
 )
-from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
 
 NUMBER_STAGE, TRANSFORM_STAGE, AXES_STAGE, PAIR_STAGE = range(4)
 """Stages in which corrections are applied: numbers, then transforms, then axes, then the pair."""
@@ -28,7 +29,7 @@ NUMBER_STAGE, TRANSFORM_STAGE, AXES_STAGE, PAIR_STAGE = range(4)
 OPENCV_AXES = np.diag([1.0, -1.0, -1.0])
 """This program's camera axes in those of OpenCV (x right, y down, z forward), and back."""
 
-Z_UP_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+Z_UP_AXES, HALF_TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.diag([-1.0, 1.0, -1.0])
 
 SIGNED_PERMUTATIONS = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -109,11 +110,9 @@ def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> I
 
 
 def heading_angles(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Heading, pitch and roll in radians; the inverse of :func:`rotation_from_heading`."""
-    azimuth, polar_angle = direction_to_angles(rotation @ FORWARD)
-    heading, pitch = float(azimuth), math.radians(90.0) - float(polar_angle)
-    rest = rotation_vector_from_rotation(rotation_from_heading(heading, pitch).T @ rotation)
-    return heading, pitch, float(rest @ FORWARD)
+    """Heading (−π to π), pitch and roll in radians; the inverse of :func:`rotation_from_heading`."""
+    heading, pitch, roll = heading_from_rotation(rotation)
+    return math.remainder(heading, math.tau), pitch, roll
 
 
 def _common() -> tuple[ConventionHypothesis, ...]:
@@ -121,8 +120,7 @@ def _common() -> tuple[ConventionHypothesis, ...]:
         _each("roll-reversed", NUMBER_STAGE,
               "a positive roll turns the horizon clockwise instead of counter-clockwise",
               "change the sign of every roll; `omnisyn poses import` does with --roll clockwise",
-              lambda pose: Pose(
-                  rotation_from_heading(*np.multiply((1, 1, -1), heading_angles(pose.rotation))), pose.position)),
+              _angles(lambda angles: np.multiply((1, 1, -1), angles))),
         _each("world-to-camera", TRANSFORM_STAGE,
               "the poses are world-to-camera transforms, given as camera-to-world ones",
               "invert every transform: rotation Rᵀ, position −Rᵀ·t",
@@ -147,23 +145,20 @@ def _common() -> tuple[ConventionHypothesis, ...]:
         _each("opencv-axes", AXES_STAGE,
               "the rotations are for camera axes x right, y down, z forward (OpenCV, COLMAP)",
               "multiply every rotation by diag(1, −1, −1) from the right",
-              lambda pose: Pose(pose.rotation @ OPENCV_AXES, pose.position)),
+              _turned(OPENCV_AXES)),
         _each("centre-at-edge", AXES_STAGE,
               "the rotations are for images whose centre is at the left and right edge (turned by 180° of yaw)",
               "roll the images by half their width, or turn every rotation by 180° about its y axis",
-              _half_turn),
+              _turned(HALF_TURN)),
         _each("z-up-camera", AXES_STAGE,
               "the rotations are for camera axes x right, y forward, z up: y and z are mixed up",
               "multiply every rotation by [[1, 0, 0], [0, 0, −1], [0, 1, 0]] from the right",
-              lambda pose: Pose(pose.rotation @ Z_UP_AXES, pose.position)),
-        _mirror("x", (-1, 1, 1)),
-        _mirror("y", (1, -1, 1)),
-        _mirror("z", (1, 1, -1)),
+              _turned(Z_UP_AXES)),
+        *(_mirror(*each) for each in (("x", (-1, 1, 1)), ("y", (1, -1, 1)), ("z", (1, 1, -1)))),
         _position_axes("position-yz-swapped", "x, z, y", "y and z of the positions are mixed up (height stands last)"),
         _position_axes("position-z-up", "x, z, −y", "the positions are z-up (x, −z, y), the rotations y-up"),
-        _position_axes("position-x-mirrored", "−x, y, z", "x of the positions has the wrong sign"),
-        _position_axes("position-y-mirrored", "x, −y, z", "y of the positions has the wrong sign"),
-        _position_axes("position-z-mirrored", "x, y, −z", "z of the positions has the wrong sign"),
+        *(_position_axes(f"position-{axis}-mirrored", "x, y, z".replace(axis, f"−{axis}"),
+                         f"{axis} of the positions has the wrong sign") for axis in "xyz"),
         _position_axes("position-negated", "−x, −y, −z", "the positions are negated"),
         _position_axes("position-half-turn", "−x, y, −z", "headings and positions are 180° apart"),
         _position_axes("position-xz-swapped", "z, y, x", "x and z of the positions are mixed up"),
@@ -179,12 +174,11 @@ def _common() -> tuple[ConventionHypothesis, ...]:
         _each("radians-for-degrees", NUMBER_STAGE,
               "headings in radians were taken for degrees",
               "write heading, pitch and roll in degrees",
-              lambda pose: Pose(rotation_from_heading(*np.degrees(heading_angles(pose.rotation))), pose.position)),
+              _angles(np.degrees)),
         _each("heading-reversed", NUMBER_STAGE,
               "headings are counted counter-clockwise instead of clockwise",
               "change the sign of every heading (yaw)",
-              lambda pose: Pose(
-                  rotation_from_heading(*np.multiply((-1, 1, 1), heading_angles(pose.rotation))), pose.position)),
+              _angles(lambda angles: np.multiply((-1, 1, 1), angles))),
     )  # fmt: skip
 
 
@@ -192,11 +186,7 @@ def _each(
     name: str, stage: int, words: str, remedy: str, correct: Callable[[Pose], Pose], is_common: bool = True
 ) -> ConventionHypothesis:
     """The same is undone in both poses."""
-
-    def correct_both(first: Pose, second: Pose) -> tuple[Pose, Pose]:
-        return correct(first), correct(second)
-
-    return ConventionHypothesis(name, stage, words, remedy, correct_both, is_common)
+    return ConventionHypothesis(name, stage, words, remedy, lambda a, b: (correct(a), correct(b)), is_common)
 
 
 def _mirror(axis: str, signs: tuple[int, int, int]) -> ConventionHypothesis:
@@ -222,22 +212,19 @@ def _other_camera_axes(matrix: np.ndarray) -> ConventionHypothesis:
         AXES_STAGE,
         f"the rotations are for other camera axes: x, y, z of this program are {_written(matrix.T)} there",
         f"multiply every rotation by {matrix.astype(int).tolist()} from the right",
-        lambda pose: Pose(pose.rotation @ matrix, pose.position),
+        _turned(matrix),
         is_common=False,
     )
 
 
 def _one_half_turn(index: int, word: str) -> ConventionHypothesis:
-    def correct(*poses: Pose) -> tuple[Pose, Pose]:
-        first, second = (_half_turn(pose) if k == index else pose for k, pose in enumerate(poses))
-        return first, second
-
+    turned = _turned(HALF_TURN)
     return ConventionHypothesis(
         f"{word}-centre-at-edge",
         AXES_STAGE,
         f"the {word} image alone has its centre at the left and right edge (turned by 180° of yaw)",
         f"roll the {word} image by half its width, or turn its rotation by 180° about its y axis",
-        correct,
+        lambda first, second: (first, turned(second)) if index else (turned(first), second),
         is_common=False,
     )
 
@@ -247,8 +234,14 @@ def _written(matrix: np.ndarray) -> str:
     return ", ".join(("−" if row.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix)
 
 
-def _half_turn(pose: Pose) -> Pose:
-    return Pose(pose.rotation @ np.diag([-1.0, 1.0, -1.0]), pose.position)
+def _angles(change: Callable[[Any], Any]) -> Callable[[Pose], Pose]:
+    """Heading, pitch and roll are changed."""
+    return lambda pose: Pose(rotation_from_heading(*change(heading_angles(pose.rotation))), pose.position)
+
+
+def _turned(matrix: np.ndarray) -> Callable[[Pose], Pose]:
+    """The camera's axes are others."""
+    return lambda pose: Pose(pose.rotation @ matrix, pose.position)
 
 
 def _angles_in_degrees(rotation: np.ndarray) -> np.ndarray:

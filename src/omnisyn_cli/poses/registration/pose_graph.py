@@ -221,24 +221,19 @@ def baseline_lengths(
     """
     ratios = length_ratios(edges) if ratios is None else ratios
     has_length = [not edge.estimate.have_same_position for edge in edges]
-    rows, values = [np.eye(len(edges))], [np.zeros(len(edges))]
-    weights = [np.full(len(edges), EQUAL_LENGTH_WEIGHT)]
+    unit = np.eye(len(edges))
+    equations = [(row, 0.0, EQUAL_LENGTH_WEIGHT) for row in unit]
     for k, edge in enumerate(edges):
         if (length := given.get((edge.first, edge.second))) is not None:
-            rows.append(np.eye(len(edges))[k : k + 1])
-            values.append(np.array([math.log(length)]))
-            weights.append(np.array([GIVEN_LENGTH_WEIGHT]))
-    for a, b in combinations(range(len(edges)), 2):
-        ends = edges[a].first, edges[a].second, edges[b].first, edges[b].second
-        if has_length[a] and has_length[b] and (ratio := ratios.get(ends)) is not None:
-            row = np.zeros((1, len(edges)))
-            row[0, [a, b]] = 1.0, -1.0
-            rows.append(row)
-            values.append(np.array([ratio[0]]))
-            weights.append(np.array([min(ratio[1], MAX_SHARED_WEIGHT)], float))
-    weight = np.sqrt(np.concatenate(weights))
-    logs = np.linalg.lstsq(np.concatenate(rows) * weight[:, None], np.concatenate(values) * weight, rcond=None)[0]
-    is_told = np.any(np.concatenate(rows[1:]) != 0, axis=0) if len(rows) > 1 else np.zeros(len(edges), bool)
+            equations.append((unit[k], math.log(length), GIVEN_LENGTH_WEIGHT))
+    for (a, one), (b, other) in combinations(enumerate(edges), 2):
+        ratio = ratios.get((one.first, one.second, other.first, other.second))
+        if has_length[a] and has_length[b] and ratio is not None:
+            equations.append((unit[a] - unit[b], ratio[0], min(ratio[1], MAX_SHARED_WEIGHT)))
+    rows, logs_told, weights = (np.array(each, float) for each in zip(*equations, strict=True))
+    weight = np.sqrt(weights)
+    logs = np.linalg.lstsq(rows * weight[:, None], logs_told * weight, rcond=None)[0]
+    is_told = np.any(rows[len(edges) :] != 0, axis=0)
     return np.where(has_length, np.exp(logs), 0.0), is_told | ~np.array(has_length)
 
 

@@ -258,16 +258,12 @@ def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals:
     if not poses:  # one picture twice: all samples are degenerate
         return refine_pose(FORWARD_POSE, matches, scale)
     best = min(poses, key=lambda pose: _pose_cost(pose, matches, crowd_weight, scale))
-    rivals = [pose for pose in poses[: len(known)] if _contradict(pose, best)]
+    rivals = [p for p in poses[: len(known)] if max(rotation_error(p, best), direction_error(p, best)) > RIVAL_ANGLE]
     best = min([best, *rivals], key=lambda pose: log_false_alarms(pose, matches, verticals)) if rivals else best
     if log_false_alarms(best, matches, verticals) <= MAX_LOG_FALSE_ALARMS:
         return best
     poses += _candidates(matches, (), np.ones(len(matches)), scale, verticals)
     return min(poses, key=lambda pose: log_false_alarms(pose, matches, verticals, FINE_DISTINCT_ANGLE))
-
-
-def _contradict(first: Pose, second: Pose) -> bool:
-    return max(rotation_error(first, second), direction_error(first, second)) > RIVAL_ANGLE
 
 
 def _candidates(

@@ -13,20 +13,18 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import UP, normalize
 from omnisyn_cli.poses.registration.features import (
     Features,
+    LevelledFeatures,
     Matches,
     band_table,
     find_grey_features,
+    find_levelled_features,
+    fine_grey_of,
     grey_of,
     match_features,
+    match_levelled_features,
 )
 from omnisyn_cli.poses.registration.gravity import Lines, Vertical, face_table, find_lines, find_vertical
 from omnisyn_cli.poses.registration.least_squares import refine_pose
-from omnisyn_cli.poses.registration.levelled_features import (
-    LevelledFeatures,
-    find_levelled_features,
-    fine_grey_of,
-    match_levelled_features,
-)
 from omnisyn_cli.poses.registration.robust import (
     Estimate,
     Verticals,
