@@ -49,12 +49,13 @@ FILE_MODULES = (
     "omnisyn_cli.poses.entries",
     "omnisyn_cli.poses.tour_file",
     "omnisyn_cli.runtime.models",
+    "omnisyn_cli.runtime.monocular_session",
     "omnisyn_cli.training",
     "omnisyn_cli.evaluation",
     "omnisyn_cli.interpolation.planning",
     "omnisyn_cli.batch",
 )
-"""The only ones that open files: io, machine code, models, checkpoints and data sets, and the records of a batch."""
+"""The only ones that open files: io, machine code, models, answers that are kept, checkpoints and data sets, and the records of a batch."""
 
 LIGHT = {
     "atexit", "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools",

@@ -10,14 +10,14 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_730, "interpolation": 5_920, "evaluation": 4_850, "training": 4_450, "scenes": 4_380, "render": 4_010,
-    "cli": 3_800, "io": 3_780, "stereo": 3_660, "fusion": 3_390, "synthesis": 2_500, "batch": 1_920,
-    "networks": 1_820, "baselines": 1_140, "geometry": 1_040, "pipeline": 780, "compute": 670, "(top)": 430,
-    "runtime": 380,
+    "poses": 6_370, "interpolation": 5_150, "evaluation": 4_520, "training": 3_600, "scenes": 4_140, "render": 3_670,
+    "cli": 3_680, "io": 3_690, "stereo": 3_820, "fusion": 3_110, "synthesis": 2_320, "batch": 1_750,
+    "networks": 1_650, "baselines": 1_090, "geometry": 1_020, "pipeline": 690, "compute": 670, "(top)": 430,
+    "runtime": 550,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 55_650
+MOST_LINES = 51_920
 """The sum. When rooms shrink, lower their budgets and it."""
 
 MOST_TEST_LINES, MOST_WORDS = 36_300, 30_100

@@ -36,31 +36,21 @@ MIN_DIVISOR_OPACITY = 1e-3
 
 @dataclass(frozen=True)
 class Cloud:
-    """A panorama as points.
+    """A panorama as points."""
 
-    Attributes:
-        features: of every pixel.
-        inverse_depth: 1/metre, finite and >= 0; 0 is infinitely far.
-        target_from_source: rigid transform from the panorama's camera frame to the target's.
-        mask: False where a pixel is no point.
-    """
-
-    features: Float32[np.ndarray, "height width channels"]
-    inverse_depth: Float[np.ndarray, "height width"]
-    target_from_source: Pose
-    mask: Bool[np.ndarray, "height width"] | None = None
+    features: Float32[np.ndarray, "height width channels"]  # of every pixel
+    inverse_depth: Float[np.ndarray, "height width"]  # 1/metre, finite and >= 0; 0 is infinitely far
+    target_from_source: Pose  # rigid transform from the panorama's camera frame to the target's
+    mask: Bool[np.ndarray, "height width"] | None = None  # False where a pixel is no point
 
 
 @dataclass(frozen=True)
 class PointLists:
-    """Which points each pixel of a target sees.
+    """Which points each pixel of a target sees."""
 
-    Attributes:
-        points: per point cosine and sine of its polar angle, column and inverse depth in the target.
-        found: per pixel the indices of the points that cover it, the nearest first, then -1.
-    """
-
+    # per point cosine and sine of its polar angle, column and inverse depth in the target
     points: Float[np.ndarray, "points 4"]
+    # per pixel the indices of the points that cover it, the nearest first, then -1
     found: Int32[np.ndarray, "rows cols most"]
 
 

@@ -44,27 +44,17 @@ DEPTH_COST_FRAMES = 12.0
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """How a batch is done; none of it changes a result but for ``threads`` (encoders work differently with more).
+    """How a batch is done; none of it changes a result but for ``threads`` (encoders work differently with more)."""
 
-    Attributes:
-        engine: ``local`` (processes of this machine) or ``ray``.
-        workers: how many; None is one per core or, with Ray, what the cluster has room for.
-        threads: of each worker; None divides the cores of this machine among the workers and is 1 with Ray.
-        gpus: GPUs, or a share of one, for each worker; only with Ray.
-        ray_address: of the cluster; None is what Ray takes by default.
-        retry_failed: try jobs again that failed in a former run.
-        overwrite: replace files that no batch has written.
-        record_host: write the name of the machine into the record of each job.
-    """
-
-    engine: Literal["local", "ray"] = "local"
-    workers: int | None = None
+    engine: Literal["local", "ray"] = "local"  # ``local`` (processes of this machine) or ``ray``
+    workers: int | None = None  # how many; None is one per core or, with Ray, what the cluster has room for
+    # of each worker; None divides the cores of this machine among the workers and is 1 with Ray
     threads: int | None = None
-    gpus: float = 0.0
-    ray_address: str | None = None
-    retry_failed: bool = False
-    overwrite: bool = False
-    record_host: bool = False
+    gpus: float = 0.0  # GPUs, or a share of one, for each worker; only with Ray
+    ray_address: str | None = None  # of the cluster; None is what Ray takes by default
+    retry_failed: bool = False  # try jobs again that failed in a former run
+    overwrite: bool = False  # replace files that no batch has written
+    record_host: bool = False  # write the name of the machine into the record of each job
 
 
 @dataclass(frozen=True)
@@ -80,20 +70,14 @@ class Progress:
 
 @dataclass
 class BatchReport:
-    """What became of the jobs of a manifest.
+    """What became of the jobs of a manifest."""
 
-    Attributes:
-        done: jobs that this run has done: of their records only what is told at the end.
-        kept: jobs that were done already.
-        failed: jobs that failed, now or before.
-        seconds: wall time of this run.
-        leftovers: hidden folders of runs that were killed, which this run has removed.
-    """
-
+    # jobs that this run has done: of their records only what is told at the end
     done: list[dict[str, Any]] = field(default_factory=list)
-    kept: list[dict[str, Any]] = field(default_factory=list)
-    failed: list[dict[str, Any]] = field(default_factory=list)
-    seconds: float = 0.0
+    kept: list[dict[str, Any]] = field(default_factory=list)  # jobs that were done already
+    failed: list[dict[str, Any]] = field(default_factory=list)  # jobs that failed, now or before
+    seconds: float = 0.0  # wall time of this run
+    # hidden folders of runs that were killed, which this run has removed
     leftovers: list[Path] = field(default_factory=list)
 
     def describe(self) -> dict[str, Any]:

@@ -34,51 +34,34 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 @dataclass(frozen=True)
 class Work:
-    """What workers do.
+    """What workers do."""
 
-    Attributes:
-        factory: ``package.module:function``; called once per worker with ``settings``, it returns the work function,
-            which takes the payload of a job and returns a value, both picklable.
-        settings: for the factory; picklable.
-    """
-
+    # ``package.module:function``; called once per worker with ``settings``, it returns the work function, which takes
+    # the payload of a job and returns a value, both picklable
     factory: str
-    settings: Any = None
+    settings: Any = None  # for the factory; picklable
 
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work.
+    """One piece of work."""
 
-    Attributes:
-        key: unique among the jobs of a run.
-        payload: what the work function is called with.
-        cost: how long it will take, in any unit.
-        group: jobs of one group go to one worker one after another, as long as it lives, so that it can use again what
-            it has in memory; None is a group of its own.
-    """
-
-    key: str
-    payload: Any
-    cost: float = 1.0
+    key: str  # unique among the jobs of a run
+    payload: Any  # what the work function is called with
+    cost: float = 1.0  # how long it will take, in any unit
+    # jobs of one group go to one worker one after another, as long as it lives, so that it can use again what it has in
+    # memory; None is a group of its own
     group: str | None = None
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a worker says about a job.
+    """What a worker says about a job."""
 
-    Attributes:
-        value: of the work function; None after an error.
-        error: one line, None if there was none.
-        trace: the traceback of an unexpected error.
-        worker: ``host:pid``.
-    """
-
-    value: Any
-    error: str | None
-    trace: str | None
-    worker: str
+    value: Any  # of the work function; None after an error
+    error: str | None  # one line, None if there was none
+    trace: str | None  # the traceback of an unexpected error
+    worker: str  # ``host:pid``
 
 
 @dataclass(frozen=True)

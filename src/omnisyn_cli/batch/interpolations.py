@@ -117,17 +117,11 @@ MAX_CACHED_ESTIMATORS = 4
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """What all jobs of a run have in common.
+    """What all jobs of a run have in common."""
 
-    Attributes:
-        folder: of the batch, absolute.
-        staging: name of the hidden folder in it, see :func:`~omnisyn_cli.batch.folder.open_staging_dir`.
-        threads: of each interpolation.
-    """
-
-    folder: Path
-    staging: str
-    threads: int
+    folder: Path  # of the batch, absolute
+    staging: str  # name of the hidden folder in it, see :func:`~omnisyn_cli.batch.folder.open_staging_dir`
+    threads: int  # of each interpolation
 
 
 class Interpolator:

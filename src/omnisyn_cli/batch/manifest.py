@@ -36,26 +36,17 @@ MIN_EVEN_SIZE = (2, 4)
 
 @dataclass(frozen=True)
 class BatchJob:
-    """One line that has been checked.
+    """One line that has been checked."""
 
-    Attributes:
-        id: unique in the manifest.
-        images: panoramas, in walking order.
-        poses: pose file that names them all, or ``auto`` where they are found in the pictures.
-        outputs: by kind (``output``, ``save_depth``, …) the place below the folder of the batch.
-        options: of the interpolation, as the manifest names and writes them (angles in degrees), but for file names,
-            which are absolute; defaults are left out.
-        group: jobs that share panoramas.
-        folder: of the manifest, absolute: records name files relative to it.
-    """
-
-    id: str
-    images: tuple[Path, ...]
-    poses: Path
-    outputs: dict[str, str]
+    id: str  # unique in the manifest
+    images: tuple[Path, ...]  # panoramas, in walking order
+    poses: Path  # pose file that names them all, or ``auto`` where they are found in the pictures
+    outputs: dict[str, str]  # by kind (``output``, ``save_depth``, …) the place below the folder of the batch
+    # of the interpolation, as the manifest names and writes them (angles in degrees), but for file names, which are
+    # absolute; defaults are left out
     options: dict[str, Any]
-    group: str | None = None
-    folder: Path = Path()
+    group: str | None = None  # jobs that share panoramas
+    folder: Path = Path()  # of the manifest, absolute: records name files relative to it
 
     @property
     def places(self) -> list[str]:
@@ -84,16 +75,11 @@ class BatchJob:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a manifest says.
+    """What a manifest says."""
 
-    Attributes:
-        path: the file.
-        jobs: in the order of the file.
-        problems: one line each, with the number of the line in the file; no job may be started if there are any.
-    """
-
-    path: Path
-    jobs: tuple[BatchJob, ...]
+    path: Path  # the file
+    jobs: tuple[BatchJob, ...]  # in the order of the file
+    # one line each, with the number of the line in the file; no job may be started if there are any
     problems: tuple[str, ...]
 
 

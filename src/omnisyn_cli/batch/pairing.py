@@ -23,22 +23,15 @@ from omnisyn_cli.poses.file import POSES_NAME, read_poses
 
 @dataclass(frozen=True)
 class TourOptions:
-    """Which pairs are interpolated.
+    """Which pairs are interpolated."""
 
-    Attributes:
-        max_baseline: metres; panoramas farther apart are no neighbours.
-        neighbours: each panorama is paired with so many of the nearest.
-        both_directions: a job for the way there and one for the way back.
-        share: pairs in a group, whose jobs one worker does one after another; more share more panoramas, fewer spread
-            better over workers.
-        options: of every job, as in a manifest.
-    """
-
-    max_baseline: float = 10.0
-    neighbours: int = 2
-    both_directions: bool = True
+    max_baseline: float = 10.0  # metres; panoramas farther apart are no neighbours
+    neighbours: int = 2  # each panorama is paired with so many of the nearest
+    both_directions: bool = True  # a job for the way there and one for the way back
+    # pairs in a group, whose jobs one worker does one after another; more share more panoramas, fewer spread better
+    # over workers
     share: int = 8
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)  # of every job, as in a manifest
 
 
 def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:

@@ -46,23 +46,14 @@ PROCESS_STATUS = Path("/proc/self/status")
 
 @dataclass(frozen=True)
 class BenchRun:
-    """What to do.
+    """What to do."""
 
-    Attributes:
-        setting: with these settings.
-        pairs: between these panoramas, one clip each.
-        frames: that are rendered of every clip.
-        device: where networks run.
-        key: goes into the figures.
-        is_scored: whether frames are compared with true ones.
-    """
-
-    setting: Setting
-    pairs: tuple[Pair, ...]
-    frames: int
-    device: str = "auto"
-    key: str = ""
-    is_scored: bool = True
+    setting: Setting  # with these settings
+    pairs: tuple[Pair, ...]  # between these panoramas, one clip each
+    frames: int  # that are rendered of every clip
+    device: str = "auto"  # where networks run
+    key: str = ""  # goes into the figures
+    is_scored: bool = True  # whether frames are compared with true ones
 
 
 def computing() -> float:

@@ -68,27 +68,18 @@ TIMED_PAIRS = 2
 
 @dataclass(frozen=True)
 class BenchJob:
-    """What a user asks for.
+    """What a user asks for."""
 
-    Attributes:
-        dataset: folder of scenes; figures without true frames have no accuracy.
-        methods: names that :func:`omnisyn_cli.evaluation.methods.find_methods` knows, separated by commas.
-        sizes: (height, width) of the frames; those of the presets alone from the second one on.
-        threads: empty means one per core.
-        frames: that are rendered of every clip.
-        layout: of the data set.
-        pairs: which frames are inputs.
-        device: where networks run.
-    """
-
-    dataset: Path
+    dataset: Path  # folder of scenes; figures without true frames have no accuracy
+    # names that :func:`omnisyn_cli.evaluation.methods.find_methods` knows, separated by commas
     methods: str = ",".join(DEFAULT_BENCH_METHODS)
+    # (height, width) of the frames; those of the presets alone from the second one on
     sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048), (2048, 4096))
-    threads: tuple[int, ...] = ()
-    frames: int = 6
-    layout: str = "auto"
-    pairs: str | None = None
-    device: str = "auto"
+    threads: tuple[int, ...] = ()  # empty means one per core
+    frames: int = 6  # that are rendered of every clip
+    layout: str = "auto"  # of the data set
+    pairs: str | None = None  # which frames are inputs
+    device: str = "auto"  # where networks run
 
 
 def make_scenes(folder: Path, size: tuple[int, int]) -> None:

@@ -51,57 +51,35 @@ TOO_FEW_PANORAMAS = "expected panoramas enough for a pair, got fewer"
 
 @dataclass(frozen=True)
 class EvaluationJob:
-    """What a user asks for.
+    """What a user asks for."""
 
-    Attributes:
-        dataset: folder of scenes, or a scene.
-        report: folder for results and pictures; made if it is not there.
-        methods: ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
-        layout: of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``.
-        pairs: which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.sources`.
-        size: (height, width) of the comparison; None means that of the true frames.
-        lpips: ONNX file for a perceptual distance.
-        pictures: keep frames, error maps and depth as pictures.
-        device: where networks run.
-        threads: at most this many; None is one per core.
-        allow_outside: accept depth and masks that ``poses.json`` names outside of its folder.
-        tours: compare methods that look for depth with themselves in tours; every second frame is an input then,
-            unless ``pairs`` says otherwise.
-        leave_out: photographs of tours: each is the truth between its neighbours, unless ``pairs`` names others.
-        command: that asked for all this, as the report says.
-    """
-
-    dataset: Path
-    report: Path
-    methods: str = "usual"
-    layout: str = "auto"
-    pairs: str | None = None
-    size: tuple[int, int] | None = None
-    lpips: Path | None = None
-    pictures: bool = True
-    device: str = "auto"
-    threads: int | None = None
-    allow_outside: bool = False
+    dataset: Path  # folder of scenes, or a scene
+    report: Path  # folder for results and pictures; made if it is not there
+    methods: str = "usual"  # ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`
+    layout: str = "auto"  # of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``
+    pairs: str | None = None  # which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.sources`
+    size: tuple[int, int] | None = None  # (height, width) of the comparison; None means that of the true frames
+    lpips: Path | None = None  # ONNX file for a perceptual distance
+    pictures: bool = True  # keep frames, error maps and depth as pictures
+    device: str = "auto"  # where networks run
+    threads: int | None = None  # at most this many; None is one per core
+    allow_outside: bool = False  # accept depth and masks that ``poses.json`` names outside of its folder
+    # compare methods that look for depth with themselves in tours; every second frame is an input then, unless
+    # ``pairs`` says otherwise
     tours: bool = False
+    # photographs of tours: each is the truth between its neighbours, unless ``pairs`` names others
     leave_out: bool = False
-    command: str = "from Python"
+    command: str = "from Python"  # that asked for all this, as the report says
 
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """A job with the pairs and methods it is about.
+    """A job with the pairs and methods it is about."""
 
-    Attributes:
-        job: what was asked for.
-        methods: to be compared.
-        pairs: to be made; those without true frames have a frame half way.
-        findings: records of scenes that cannot be evaluated, with the reason.
-    """
-
-    job: EvaluationJob
-    methods: tuple[ComparedMethod, ...]
-    pairs: tuple[Pair, ...]
-    findings: tuple[UnitRecord, ...]
+    job: EvaluationJob  # what was asked for
+    methods: tuple[ComparedMethod, ...]  # to be compared
+    pairs: tuple[Pair, ...]  # to be made; those without true frames have a frame half way
+    findings: tuple[UnitRecord, ...]  # records of scenes that cannot be evaluated, with the reason
 
     @property
     def units(self) -> int:

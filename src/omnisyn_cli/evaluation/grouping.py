@@ -153,19 +153,12 @@ def pair_names(records: Iterable[UnitRecord]) -> dict[tuple[str, str, str], str]
 
 @dataclass(frozen=True)
 class Gap:
-    """Something that was not measured.
+    """Something that was not measured."""
 
-    Attributes:
-        method: empty where a whole scene was not used.
-        status: ``unavailable``, ``skipped`` or ``failed``.
-        reason: why.
-        pairs: the pairs or scenes that it concerns.
-    """
-
-    method: str
-    status: str
-    reason: str
-    pairs: tuple[str, ...]
+    method: str  # empty where a whole scene was not used
+    status: str  # ``unavailable``, ``skipped`` or ``failed``
+    reason: str  # why
+    pairs: tuple[str, ...]  # the pairs or scenes that it concerns
 
 
 def gaps(records: Sequence[UnitRecord]) -> list[Gap]:

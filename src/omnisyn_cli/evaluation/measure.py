@@ -62,25 +62,16 @@ PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was made and measured.
+    """What was made and measured."""
 
-    Attributes:
-        images: a picture for every target of the pair.
-        kinds: of every picture, where pixels of each kind are; without geometry only the ``top`` and the ``bottom``.
-        frames: what is known of every picture.
-        depths: of both views; empty for methods without.
-        found: the depth that the method found, or None.
-        temporal: see :class:`omnisyn_cli.evaluation.results.UnitRecord`.
-        seconds: for the targets, by stage, with their ``total``; clips and ends are not counted.
-    """
-
-    images: tuple[Picture, ...]
+    images: tuple[Picture, ...]  # a picture for every target of the pair
+    # of every picture, where pixels of each kind are; without geometry only the ``top`` and the ``bottom``
     kinds: tuple[Masks, ...]
-    frames: tuple[FrameRecord, ...]
-    depths: tuple[DepthRecord, ...]
-    found: tuple[DepthEstimate, DepthEstimate] | None
-    temporal: dict[str, float]
-    seconds: dict[str, float]
+    frames: tuple[FrameRecord, ...]  # what is known of every picture
+    depths: tuple[DepthRecord, ...]  # of both views; empty for methods without
+    found: tuple[DepthEstimate, DepthEstimate] | None  # the depth that the method found, or None
+    temporal: dict[str, float]  # see :class:`omnisyn_cli.evaluation.results.UnitRecord`
+    seconds: dict[str, float]  # for the targets, by stage, with their ``total``; clips and ends are not counted
 
 
 def measure(

@@ -82,25 +82,15 @@ class PairDepths:
 
 @dataclass(frozen=True)
 class ComparedMethod:
-    """A method that can be compared.
+    """A method that can be compared."""
 
-    Attributes:
-        name: as it is chosen and listed.
-        description: what it does, in a few words.
-        config: what its frames are made with; depth from files is the truth, which no other method sees.
-        depth_size: height and width of the surfaces' grids; None is that of the estimates.
-        shows_first_only: whether the second panorama is hidden.
-        is_in_tour: whether the panoramas before and after the pair take part in its depth.
-        leaves_out_camera_fixed: whether what moves with the camera is masked.
-    """
-
-    name: str
-    description: str
-    config: RunConfig
-    depth_size: tuple[int, int] | None = None
-    shows_first_only: bool = False
-    is_in_tour: bool = False
-    leaves_out_camera_fixed: bool = False
+    name: str  # as it is chosen and listed
+    description: str  # what it does, in a few words
+    config: RunConfig  # what its frames are made with; depth from files is the truth, which no other method sees
+    depth_size: tuple[int, int] | None = None  # height and width of the surfaces' grids; None is that of the estimates
+    shows_first_only: bool = False  # whether the second panorama is hidden
+    is_in_tour: bool = False  # whether the panoramas before and after the pair take part in its depth
+    leaves_out_camera_fixed: bool = False  # whether what moves with the camera is masked
 
     def ingredients(self) -> tuple[str, ...]:
         """What its results depend on besides its name: settings, and the digests of its networks as installed."""

@@ -30,93 +30,70 @@ be measured. ``failed``: a file is damaged, or the method broke. All but ``done`
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """One frame between two panoramas, compared with the truth if there is one.
+    """One frame between two panoramas, compared with the truth if there is one."""
 
-    Attributes:
-        name: of the true frame, as the data set calls it, or ``half way``.
-        t: share of the way from the first panorama to the second, by distance, in (0, 1).
-        distance: metres to the nearer of the two panoramas.
-        scores: ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``,
-            ``lrce``, and ``lpips`` if a network for it was given; ``change_psnr`` of all but the first, see
-            :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, see
-            :mod:`omnisyn_cli.evaluation.metrics.flying`. ``shards`` of all frames, the only one without a true frame,
-            see :mod:`omnisyn_cli.evaluation.metrics.shards`.
-        pictures: ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the
-            report, with "/"; may be empty.
-        by_kind: ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of
-            pixel -> number; kinds that there are no pixels of are missing.
-    """
-
-    name: str
-    t: float
-    distance: float
+    name: str  # of the true frame, as the data set calls it, or ``half way``
+    t: float  # share of the way from the first panorama to the second, by distance, in (0, 1)
+    distance: float  # metres to the nearer of the two panoramas
+    # ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``, ``lrce``,
+    # and ``lpips`` if a network for it was given; ``change_psnr`` of all but the first, see
+    # :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, see
+    # :mod:`omnisyn_cli.evaluation.metrics.flying`. ``shards`` of all frames, the only one without a true frame, see
+    # :mod:`omnisyn_cli.evaluation.metrics.shards`.
     scores: Mapping[str, float]
+    # ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the report, with
+    # "/"; may be empty
     pictures: Mapping[str, str] = field(default_factory=dict)
+    # ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of pixel -> number;
+    # kinds that there are no pixels of are missing
     by_kind: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class DepthRecord:
-    """The depth that a method found for one of the two panoramas, compared with the truth where there is one.
+    """The depth that a method found for one of the two panoramas, compared with the truth where there is one."""
 
-    Attributes:
-        view: name of the panorama.
-        plain: see :func:`omnisyn_cli.evaluation.metrics.depth.depth_metrics`, every pixel counts alike; empty without
-            truth.
-        weighted: the same, pixels weighted by solid angle.
-        pictures: ``depth`` and ``truth`` -> file in the Turbo colours, relative to the folder of the report.
-        doubt: ``unsure_area``, ``within_5_unsure``, ``within_5_sure``, ``rank_correlation``, ``calibration_error``, see
-            :mod:`omnisyn_cli.evaluation.metrics.depth`; some are missing where nothing was matched or doubted.
-        reliability: ``area``, ``confidence``, ``within_5``, ``within_10`` -> middle of a bin of confidence -> number.
-    """
-
-    view: str
+    view: str  # name of the panorama
+    # see :func:`omnisyn_cli.evaluation.metrics.depth.depth_metrics`, every pixel counts alike; empty without truth
     plain: Mapping[str, float] = field(default_factory=dict)
-    weighted: Mapping[str, float] = field(default_factory=dict)
+    weighted: Mapping[str, float] = field(default_factory=dict)  # the same, pixels weighted by solid angle
+    # ``depth`` and ``truth`` -> file in the Turbo colours, relative to the folder of the report
     pictures: Mapping[str, str] = field(default_factory=dict)
+    # ``unsure_area``, ``within_5_unsure``, ``within_5_sure``, ``rank_correlation``, ``calibration_error``, see
+    # :mod:`omnisyn_cli.evaluation.metrics.depth`; some are missing where nothing was matched or doubted
     doubt: Mapping[str, float] = field(default_factory=dict)
+    # ``area``, ``confidence``, ``within_5``, ``within_10`` -> middle of a bin of confidence -> number
     reliability: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class UnitRecord:
-    """What became of one method on one pair of panoramas.
-
-    Attributes:
-        key: hash of everything the result depends on: files, poses, method, options, program.
-        scene: name of the scene.
-        first, second: names of the two panoramas; empty where the scene could not be read.
-        method: name of the method; empty where the scene itself was skipped or is broken.
-        status: see :data:`Status`.
-        reason: one line; empty if done.
-        baseline: metres from the first to the second panorama; NaN where the scene could not be read.
-        median_depth: metres, of the first panorama: true, or as found where the truth are photographs; else None.
-        size: height and width of the frames that were compared, (0, 0) where there are none.
-        frames: one for every true frame between, in walking order; one half way where there are none.
-        depths: of the first and of the second panorama; empty for methods without depth.
-        temporal: ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.metrics.temporal`), and
-            ``end_first``, ``end_second``: root mean square difference, weighted by solid angle, between what the method
-            makes at the place of a panorama and that panorama. Measures that a method does not allow are missing.
-        seconds: wall time by stage: ``depth``, ``mesh``, ``render``, ``fuse`` and the like; ``total`` is their sum.
-        worst: ``ws_psnr`` and ``change_psnr`` -> name of the frame that has the least of it.
-    """
+    """What became of one method on one pair of panoramas."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    key: str
-    scene: str
+    key: str  # hash of everything the result depends on: files, poses, method, options, program
+    scene: str  # name of the scene
+    # names of the two panoramas; empty where the scene could not be read
     first: str
     second: str
-    method: str
-    status: Status
-    reason: str = ""
-    baseline: float = math.nan
+    method: str  # name of the method; empty where the scene itself was skipped or is broken
+    status: Status  # see :data:`Status`
+    reason: str = ""  # one line; empty if done
+    baseline: float = math.nan  # metres from the first to the second panorama; NaN where the scene could not be read
+    # metres, of the first panorama: true, or as found where the truth are photographs; else None
     median_depth: float | None = None
-    size: tuple[int, int] = (0, 0)
+    size: tuple[int, int] = (0, 0)  # height and width of the frames that were compared, (0, 0) where there are none
+    # one for every true frame between, in walking order; one half way where there are none
     frames: tuple[FrameRecord, ...] = ()
-    depths: tuple[DepthRecord, ...] = ()
+    depths: tuple[DepthRecord, ...] = ()  # of the first and of the second panorama; empty for methods without depth
+    # ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.metrics.temporal`), and ``end_first``,
+    # ``end_second``: root mean square difference, weighted by solid angle, between what the method makes at the place
+    # of a panorama and that panorama. Measures that a method does not allow are missing.
     temporal: Mapping[str, float] = field(default_factory=dict)
+    # wall time by stage: ``depth``, ``mesh``, ``render``, ``fuse`` and the like; ``total`` is their sum
     seconds: Mapping[str, float] = field(default_factory=dict)
+    # ``ws_psnr`` and ``change_psnr`` -> name of the frame that has the least of it
     worst: Mapping[str, str] = field(default_factory=dict)
 
     @property

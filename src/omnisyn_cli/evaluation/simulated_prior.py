@@ -25,15 +25,10 @@ ERROR_WIDTHS_DEG = (60.0, 15.0)
 
 @dataclass(frozen=True)
 class SimulatedModel:
-    """A monocular network that answers the true depth, distorted; it knows the panoramas by their places.
+    """A monocular network that answers the true depth, distorted; it knows the panoramas by their places."""
 
-    Attributes:
-        views: with the true depth.
-        error: standard deviation of the logarithm of depth.
-    """
-
-    views: Sequence[View]
-    error: float
+    views: Sequence[View]  # with the true depth
+    error: float  # standard deviation of the logarithm of depth
 
     def __call__(self, view: View) -> MonocularAnswer:
         """Inverse depth of one of the views; OmnisynError: its true depth is not known."""

@@ -63,21 +63,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Means:
-    """A table of means by method.
+    """A table of means by method."""
 
-    Attributes:
-        title: of the table.
-        counted: what the last column counts.
-        subject: of the figures, see :func:`omnisyn_cli.evaluation.grouping.figures_of`.
-        columns: by figure.
-        note: a sentence about them.
-    """
-
-    title: str
-    counted: str
-    subject: str
-    columns: Mapping[str, Column]
-    note: str
+    title: str  # of the table
+    counted: str  # what the last column counts
+    subject: str  # of the figures, see :func:`omnisyn_cli.evaluation.grouping.figures_of`
+    columns: Mapping[str, Column]  # by figure
+    note: str  # a sentence about them
 
 
 FRAMES = Means(

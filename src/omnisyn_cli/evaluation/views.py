@@ -24,48 +24,33 @@ MAX_HALF_WAY_ROWS = 512
 
 @dataclass(frozen=True)
 class Target:
-    """Where methods make a frame between the two views.
+    """Where methods make a frame between the two views."""
 
-    Attributes:
-        name: of the frame.
-        waypoint: its pose, and the share of the way by distance.
-        distance: metres to the nearer view.
-    """
-
-    name: str
-    waypoint: Waypoint
-    distance: float
+    name: str  # of the frame
+    waypoint: Waypoint  # its pose, and the share of the way by distance
+    distance: float  # metres to the nearer view
 
 
 @dataclass(frozen=True)
 class TrueFrame(Target):
-    """What a camera saw between the two views.
+    """What a camera saw between the two views."""
 
-    Attributes:
-        image: ``(height, width, 3)`` RGB in [0, 1], at the size of the comparison.
-        usable: pixels that may be compared, of a photograph; None of a rendering, of which all may.
-    """
-
-    image: Float[np.ndarray, "height width 3"]
+    image: Float[np.ndarray, "height width 3"]  # RGB in [0, 1], at the size of the comparison
+    # pixels that may be compared, of a photograph; None of a rendering, of which all may
     usable: Bool[np.ndarray, "height width"] | None = None
 
 
 @dataclass(frozen=True)
 class LoadedPair:
-    """A pair with everything that is known about it.
+    """A pair with everything that is known about it."""
 
-    Attributes:
-        views: both panoramas at their own resolution, with true depth as ``known_depth`` where there is any.
-        truths: of the frames between.
-        size: height and width at which frames are compared.
-        around: the panorama before the first and the one after the second view, where the pair is part of a tour.
-        still: what moves with the camera in a whole tour, see :mod:`omnisyn_cli.synthesis.still_outlines`, or None.
-    """
-
+    # both panoramas at their own resolution, with true depth as ``known_depth`` where there is any
     views: tuple[View, View]
-    truths: tuple[TrueFrame, ...]
-    size: tuple[int, int]
+    truths: tuple[TrueFrame, ...]  # of the frames between
+    size: tuple[int, int]  # height and width at which frames are compared
+    # the panorama before the first and the one after the second view, where the pair is part of a tour
     around: tuple[View | None, View | None] = (None, None)
+    # what moves with the camera in a whole tour, see :mod:`omnisyn_cli.synthesis.still_outlines`, or None
     still: Bool[np.ndarray, "rows cols"] | None = None
 
     @property

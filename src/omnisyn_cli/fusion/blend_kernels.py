@@ -24,17 +24,11 @@ MAX_GAP = np.float32(4.0)
 
 
 class LayerRows(NamedTuple):
-    """Some rows of a layer.
+    """Some rows of a layer."""
 
-    Attributes:
-        colour: ``(rows, width, 4)`` RGB and weight.
-        inverse_depth: ``(rows, width)``; negative where nothing is seen.
-        offset: position of the view in the frame of the target.
-    """
-
-    colour: np.ndarray
-    inverse_depth: np.ndarray
-    offset: tuple[np.float32, np.float32, np.float32]
+    colour: np.ndarray  # ``(rows, width, 4)`` RGB and weight
+    inverse_depth: np.ndarray  # ``(rows, width)``; negative where nothing is seen
+    offset: tuple[np.float32, np.float32, np.float32]  # position of the view in the frame of the target
 
 
 class KernelRule(NamedTuple):

@@ -44,21 +44,13 @@ RAMP_SHARE = 0.1
 
 @dataclass(frozen=True)
 class BlendRule:
-    """The rule at one place of the way.
+    """The rule at one place of the way."""
 
-    Attributes:
-        t: share of the way.
-        disagreement: relative difference of inverse depth at which a hidden surface is down to 1/e of its weight.
-        hidden_weight: the least share of its weight that a hidden surface keeps here: all of it at both ends.
-        occlusion_strength: how strictly the nearer surface wins: 0 at both ends of the way, 1 in between.
-        dissolves: whether most places show one layer alone.
-    """
-
-    t: float
-    disagreement: float
-    hidden_weight: float
-    occlusion_strength: float
-    dissolves: bool = False
+    t: float  # share of the way
+    disagreement: float  # relative difference of inverse depth at which a hidden surface is down to 1/e of its weight
+    hidden_weight: float  # the least share of its weight that a hidden surface keeps here: all of it at both ends
+    occlusion_strength: float  # how strictly the nearer surface wins: 0 at both ends of the way, 1 in between
+    dissolves: bool = False  # whether most places show one layer alone
 
     @staticmethod
     def at(t: float, *, dissolves: bool = False) -> BlendRule:
@@ -70,19 +62,12 @@ class BlendRule:
 
 @dataclass(frozen=True)
 class LayerArrays:
-    """Pixels of one layer as plain arrays, numpy or torch.
+    """Pixels of one layer as plain arrays, numpy or torch."""
 
-    Attributes:
-        colour: RGB.
-        weight: blend weight; 0 where nothing is seen.
-        inverse_depth: from the target; negative where nothing is seen.
-        offset: position of the view in the frame of the target, in the unit of depth.
-    """
-
-    colour: Float[Array, "*pixels 3"]
-    weight: Float[Array, "*pixels"]
-    inverse_depth: Float[Array, "*pixels"]
-    offset: Float[Array, " 3"]
+    colour: Float[Array, "*pixels 3"]  # RGB
+    weight: Float[Array, "*pixels"]  # blend weight; 0 where nothing is seen
+    inverse_depth: Float[Array, "*pixels"]  # from the target; negative where nothing is seen
+    offset: Float[Array, " 3"]  # position of the view in the frame of the target, in the unit of depth
 
     @property
     def clipped_inverse_depth(self) -> Float[Array, "*pixels"]:

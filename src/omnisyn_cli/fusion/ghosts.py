@@ -75,15 +75,11 @@ ILLUMINATION_RADIUS = 12
 
 @dataclass(frozen=True)
 class GhostSuppression:
-    """Takes blend weight away from the layer that is not shown; a :data:`omnisyn_cli.types.ColourStep`.
+    """Takes blend weight away from the layer that is not shown; a :data:`omnisyn_cli.types.ColourStep`."""
 
-    Attributes:
-        signed_strength: by cell, in [−1, 1]: at −1 the first layer loses all of its weight, at 1 the second does.
-        cell_size: pixels along the side of a cell.
-    """
-
+    # by cell, in [−1, 1]: at −1 the first layer loses all of its weight, at 1 the second does
     signed_strength: Float32[Array, "rows cols"]
-    cell_size: int
+    cell_size: int  # pixels along the side of a cell
 
     def __call__(self, first: Array, second: Array, top: int) -> None:
         """In some rows of both layers, see :func:`suppress`."""

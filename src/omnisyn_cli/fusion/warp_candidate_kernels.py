@@ -16,18 +16,13 @@ class CandidateArrays(NamedTuple):
 
     The six samples of a pixel are: [0] the second view at the first layer's surface, [1] the first view at the second
     layer's; [2, 3] both views at the farthest hypothesis, [4, 5] at the nearest.
-
-    Attributes:
-        colours: ``(6, rows, cols, 4)`` RGB and alpha.
-        occlusion: ``(6, rows, cols)`` see :class:`omnisyn_cli.types.SourceSampler`.
-        sqrt_depths: ``(2, rows, cols)`` √(inverse depth × baseline) of the farthest and of the nearest hypothesis.
-        max_occlusion: at which the channels saturate.
     """
 
-    colours: np.ndarray
-    occlusion: np.ndarray
+    colours: np.ndarray  # ``(6, rows, cols, 4)`` RGB and alpha
+    occlusion: np.ndarray  # ``(6, rows, cols)`` see :class:`omnisyn_cli.types.SourceSampler`
+    # ``(2, rows, cols)`` √(inverse depth × baseline) of the farthest and of the nearest hypothesis
     sqrt_depths: np.ndarray
-    max_occlusion: np.float32
+    max_occlusion: np.float32  # at which the channels saturate
 
 
 @inlined(fastmath=True)

@@ -70,18 +70,14 @@ Picture = Shaped[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True)
 class WarpCandidates:
-    """What both photographs show at two depth hypotheses.
+    """What both photographs show at two depth hypotheses."""
 
-    Attributes:
-        channels: ``(CANDIDATE_CHANNELS, height, width)``, at the size of the network's input.
-        hypotheses: ``(2, rows, cols)`` inverse depth from the target of the farthest and of the nearest surface around
-            every pixel, at :data:`CANDIDATE_SCALE` times that size.
-        source_samplers: of both views.
-    """
-
+    # ``(CANDIDATE_CHANNELS, height, width)``, at the size of the network's input
     channels: Float32[np.ndarray, "channels height width"]
+    # inverse depth from the target of the farthest and of the nearest surface around every pixel, at
+    # :data:`CANDIDATE_SCALE` times that size
     hypotheses: Float32[np.ndarray, "2 rows cols"]
-    source_samplers: tuple[SourceSampler, SourceSampler]
+    source_samplers: tuple[SourceSampler, SourceSampler]  # of both views
 
     def mix_in(self, weights: Float32[np.ndarray, "4 height width"], picture: Picture, threads: int | None) -> None:
         """Blend the candidates into a picture, float32 or unsigned integers.

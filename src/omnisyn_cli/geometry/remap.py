@@ -18,12 +18,9 @@ MAX_REMAP_COLUMNS = 32766 - 2 * BORDER_PIXELS
 
 @dataclass(frozen=True)
 class RemapTable:
-    """A remap table: places in an equirectangular image, across the seam and over the poles.
+    """A remap table: places in an equirectangular image, across the seam and over the poles."""
 
-    Attributes:
-        row, col: fractional indices of the image with its border.
-    """
-
+    # fractional indices of the image with its border
     row: Float32[np.ndarray, "height width"]
     col: Float32[np.ndarray, "height width"]
 

@@ -59,23 +59,14 @@ CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes
 
 @dataclass(frozen=True)
 class TourPlan:
-    """What has been checked of a job whatever is made of it: its panoramas, where they were taken, how depth is found.
+    """What has been checked of a job, whatever is made of it: its panoramas, their poses, how depth is found."""
 
-    Attributes:
-        job: what was asked for.
-        entries: the pose file's entry of every panorama.
-        source_sizes: (height, width) at which every panorama is read.
-        config: what surfaces and frames are made with.
-        notes: what the user should know.
-        tour: titles, links and more; its panoramas are those of the job, but each once.
-    """
-
-    job: TourJob
-    entries: tuple[PosedPanorama, ...]
-    source_sizes: tuple[tuple[int, int], ...]
-    config: RunConfig
-    notes: tuple[str, ...]
-    tour: Tour
+    job: TourJob  # what was asked for
+    entries: tuple[PosedPanorama, ...]  # the pose file's entry of every panorama
+    source_sizes: tuple[tuple[int, int], ...]  # (height, width) at which every panorama is read
+    config: RunConfig  # what surfaces and frames are made with
+    notes: tuple[str, ...]  # what the user should know
+    tour: Tour  # titles, links and more; its panoramas are those of the job, but each once
 
     @property
     def is_chain(self) -> bool:
@@ -159,18 +150,12 @@ class TourPlan:
 
 @dataclass(frozen=True)
 class InterpolationPlan(TourPlan):
-    """A job that has been checked, with the video that it asks for.
-
-    Attributes:
-        size: (height, width) of the video, or of what one eye sees.
-        path: a waypoint for every frame.
-        memory: bytes that the pictures and buffers will take, estimated.
-    """
+    """A job that has been checked, with the video that it asks for."""
 
     job: InterpolationJob
-    size: tuple[int, int]
-    path: tuple[Waypoint, ...]
-    memory: int = 0
+    size: tuple[int, int]  # (height, width) of the video, or of what one eye sees
+    path: tuple[Waypoint, ...]  # a waypoint for every frame
+    memory: int = 0  # bytes that the pictures and buffers will take, estimated
 
     @property
     def length(self) -> float:

@@ -41,23 +41,17 @@ CONFIDENCE_PAGE = "docs/confidence.md"
 
 @dataclass(frozen=True)
 class TourSummary:
-    """What was done, whatever was made; :func:`omnisyn_cli.interpolation.loading.tour_surfaces` fills it.
+    """What was done, whatever was made; :func:`omnisyn_cli.interpolation.loading.tour_surfaces` fills it."""
 
-    Attributes:
-        plan: what was planned.
-        seconds: wall time by stage; ``total`` is all of it.
-        pairs: how far what is made of two panoramas can be relied on, by the index of the first.
-        left_out: share of the sphere that moves with the camera or is painted over, by the index of the panorama.
-        results: what was made, as plain values.
-        soft_pairs: those that soft surfaces stand for (:mod:`omnisyn_cli.synthesis.soft_surface`), by the same index.
-    """
-
-    plan: TourPlan
-    seconds: dict[str, float] = field(default_factory=dict)
+    plan: TourPlan  # what was planned
+    seconds: dict[str, float] = field(default_factory=dict)  # wall time by stage; ``total`` is all of it
+    # how far what is made of two panoramas can be relied on, by the index of the first
     pairs: dict[int, PairConfidence] = field(default_factory=dict)
+    # share of the sphere that moves with the camera or is painted over, by the index of the panorama
     left_out: dict[int, float] = field(default_factory=dict)
+    # those that soft surfaces stand for (:mod:`omnisyn_cli.synthesis.soft_surface`), by the same index
     soft_pairs: list[int] = field(default_factory=list)
-    results: dict[str, Any] = field(default_factory=dict)
+    results: dict[str, Any] = field(default_factory=dict)  # what was made, as plain values
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
     last_remedy: ClassVar[str] = "--fallback crossfade"
@@ -156,18 +150,16 @@ class Summary(TourSummary):
     """What was done for a video. Encoding runs beside the other stages: ``encode`` is the time that they waited for it.
 
     Pairs are named by the index of the first panorama; those without a frame of their own are left out.
-
-    Attributes:
-        frames: how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``.
-        triangles: how many are drawn for each frame of a pair, and how many its two meshes have.
-        infinitely_far: share of the sphere that has no parallax, the mean of both panoramas of a pair.
-        camera_heights: metres of the cameras above the floor, of pairs that show it.
     """
 
     plan: InterpolationPlan
+    # how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``
     frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
+    # how many are drawn for each frame of a pair, and how many its two meshes have
     triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
+    # share of the sphere that has no parallax, the mean of both panoramas of a pair
     infinitely_far: dict[int, float] = field(default_factory=dict)
+    # metres of the cameras above the floor, of pairs that show it
     camera_heights: dict[int, float] = field(default_factory=dict)
 
     @property

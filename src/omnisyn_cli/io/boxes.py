@@ -48,19 +48,12 @@ class FileBox:
 
 @dataclass(frozen=True)
 class Box:
-    """A box in memory.
+    """A box in memory."""
 
-    Attributes:
-        kind: four characters.
-        head: content before the children; all of it in a box without any.
-        children: boxes inside, None where this box was not opened.
-        tail: bytes after the last child (QuickTime ends some lists with four zeros).
-    """
-
-    kind: bytes
-    head: bytes
-    children: tuple[Box, ...] | None = None
-    tail: bytes = b""
+    kind: bytes  # four characters
+    head: bytes  # content before the children; all of it in a box without any
+    children: tuple[Box, ...] | None = None  # boxes inside, None where this box was not opened
+    tail: bytes = b""  # bytes after the last child (QuickTime ends some lists with four zeros)
 
 
 def top_level_boxes(path: Path) -> tuple[FileBox, ...]:

@@ -72,38 +72,26 @@ XMP_BOOLEANS = {"true": 1, "false": 0}
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image file says about itself before any pixel is decoded.
+    """What an image file says about itself before any pixel is decoded."""
 
-    Attributes:
-        path: the file.
-        format: OpenImageIO's name of the format, e.g. ``jpeg``.
-        height, width: pixels stored, before orientation is applied.
-        top, left: position of the stored pixels in the full picture (OpenEXR's data window), else 0.
-        full_height, full_width: size of the full picture (OpenEXR's display window), else ``height, width``.
-        channels: names, e.g. ``("R", "G", "B", "A")``.
-        dtype: of the stored samples, e.g. ``uint8``.
-        alpha_channel: index into ``channels``, or −1.
-        is_alpha_associated: whether colours are stored multiplied by alpha.
-        orientation: EXIF orientation, 1 to 8.
-        attributes: all other metadata by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``.
-        has_more_pictures: whether others of its size follow, as in an animation; only the first is read.
-    """
-
-    path: Path
-    format: str
+    path: Path  # the file
+    format: str  # OpenImageIO's name of the format, e.g. ``jpeg``.
+    # pixels stored, before orientation is applied
     height: int
     width: int
+    # position of the stored pixels in the full picture (OpenEXR's data window), else 0
     top: int
     left: int
+    # size of the full picture (OpenEXR's display window), else ``height, width``
     full_height: int
     full_width: int
-    channels: tuple[str, ...]
-    dtype: str
-    alpha_channel: int
-    is_alpha_associated: bool
-    orientation: int
-    attributes: Mapping[str, Any]
-    has_more_pictures: bool = False
+    channels: tuple[str, ...]  # names, e.g. ``("R", "G", "B", "A")``.
+    dtype: str  # of the stored samples, e.g. ``uint8``.
+    alpha_channel: int  # index into ``channels``, or −1
+    is_alpha_associated: bool  # whether colours are stored multiplied by alpha
+    orientation: int  # EXIF orientation, 1 to 8
+    attributes: Mapping[str, Any]  # all other metadata by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``.
+    has_more_pictures: bool = False  # whether others of its size follow, as in an animation; only the first is read
 
     @property
     def is_linear(self) -> bool:

@@ -32,29 +32,19 @@ RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 
 @dataclass(frozen=True)
 class VideoCodec:
-    """One way to encode.
+    """One way to encode."""
 
-    Attributes:
-        encoders: ffmpeg's encoders for it, the best first.
-        crf: the default constant quality, None where there is none; lower is better.
-        player_rows: rows of the largest video of 2:1 that players in use show; None where nobody plays them.
-        largest_crf: the end of its scale.
-        preset: the default.
-        presets: from fast to slow (ProRes: from small to large).
-        suffixes: endings of the files that hold it.
-        pixel_formats: ffmpeg's pixel format by the type of the frames.
-        tag: the sample entry's name where ffmpeg's own choice is not played everywhere.
-    """
-
-    encoders: tuple[str, ...]
-    crf: int | None
+    encoders: tuple[str, ...]  # ffmpeg's encoders for it, the best first
+    crf: int | None  # the default constant quality, None where there is none; lower is better
+    # rows of the largest video of 2:1 that players in use show; None where nobody plays them
     player_rows: int | None = None
-    largest_crf: int = 51
-    preset: str = "medium"
-    presets: tuple[str, ...] = X26X_PRESETS
-    suffixes: tuple[str, ...] = (".mp4", ".mov", ".m4v")
+    largest_crf: int = 51  # the end of its scale
+    preset: str = "medium"  # the default
+    presets: tuple[str, ...] = X26X_PRESETS  # from fast to slow (ProRes: from small to large)
+    suffixes: tuple[str, ...] = (".mp4", ".mov", ".m4v")  # endings of the files that hold it
+    # ffmpeg's pixel format by the type of the frames
     pixel_formats: Mapping[str, str] = field(default_factory=lambda: {"uint8": PLANAR_FORMAT, "uint16": "yuv420p10le"})
-    tag: str | None = None
+    tag: str | None = None  # the sample entry's name where ffmpeg's own choice is not played everywhere
 
 
 CODECS: Mapping[str, VideoCodec] = {

@@ -45,21 +45,15 @@ MAX_POLE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Panorama:
-    """An equirectangular image that covers the whole sphere.
+    """An equirectangular image that covers the whole sphere."""
 
-    Attributes:
-        image: ``(height, width, 3)`` RGB in [0, 1], width = 2·height; floating-point files may exceed 1.
-        mask: ``(height, width)``, True where the image is usable; None means everywhere.
-        original: ``(height, width, 3)`` uint8 or uint16 with exactly the samples of the file, upright and completed
-            like ``image``, or reduced and converted to sRGB; None for floating-point files and where samples had to be
-            stretched or divided by alpha.
-        path: the file it came from.
-    """
-
-    image: Float[np.ndarray, "height width 3"]
+    image: Float[np.ndarray, "height width 3"]  # RGB in [0, 1], width = 2·height; floating-point files may exceed 1
+    # ``(height, width)``, True where the image is usable; None means everywhere
     mask: Bool[np.ndarray, "height width"] | None
+    # uint8 or uint16 with exactly the samples of the file, upright and completed like ``image``, or reduced and
+    # converted to sRGB; None for floating-point files and where samples had to be stretched or divided by alpha
     original: Shaped[np.ndarray, "height width 3"] | None
-    path: Path
+    path: Path  # the file it came from
 
 
 def read_panorama(

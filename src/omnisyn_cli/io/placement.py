@@ -53,22 +53,16 @@ class Placement:
 
 @dataclass(frozen=True)
 class Reading:
-    """What files do not say of their pictures, and how pictures are wanted.
+    """What files do not say of their pictures, and how pictures are wanted."""
 
-    Attributes:
-        upper_half: only the upper half is the picture, as of top-bottom stereo.
-        hfov, vfov: radians that the picture spans, for partial panoramas without tags; one follows from the other.
-        horizon: where the horizon is then, as a share of the picture's height from its top.
-        view_transform: show linear light (OpenEXR, Radiance HDR) as screens do, instead of taking its numbers.
-        size: height and width to which a larger sphere is reduced; None keeps it.
-    """
-
-    upper_half: bool = False
+    upper_half: bool = False  # only the upper half is the picture, as of top-bottom stereo
+    # radians that the picture spans, for partial panoramas without tags; one follows from the other
     hfov: float | None = None
     vfov: float | None = None
-    horizon: float = 0.5
+    horizon: float = 0.5  # where the horizon is then, as a share of the picture's height from its top
+    # show linear light (OpenEXR, Radiance HDR) as screens do, instead of taking its numbers
     view_transform: bool = False
-    size: tuple[int, int] | None = None
+    size: tuple[int, int] | None = None  # height and width to which a larger sphere is reduced; None keeps it
 
     @property
     def is_partial(self) -> bool:

@@ -60,21 +60,13 @@ COPY_BLOCK_BYTES = 4 << 20
 
 @dataclass(frozen=True)
 class SphericalMetadata:
-    """What a video says about its projection.
+    """What a video says about its projection."""
 
-    Attributes:
-        has_version_1: whether the first video track carries the RDF XML.
-        has_version_2: whether its sample entry carries ``sv3d``.
-        projection: ``equirectangular``, ``cubemap``, ``mesh``; None where nothing is said.
-        stereo_mode: ``mono``, ``top-bottom``, ``left-right``; None where nothing is said.
-        software: who wrote the metadata.
-    """
-
-    has_version_1: bool = False
-    has_version_2: bool = False
-    projection: str | None = None
-    stereo_mode: str | None = None
-    software: str | None = None
+    has_version_1: bool = False  # whether the first video track carries the RDF XML
+    has_version_2: bool = False  # whether its sample entry carries ``sv3d``
+    projection: str | None = None  # ``equirectangular``, ``cubemap``, ``mesh``; None where nothing is said
+    stereo_mode: str | None = None  # ``mono``, ``top-bottom``, ``left-right``; None where nothing is said
+    software: str | None = None  # who wrote the metadata
 
 
 def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | None = "mono") -> None:

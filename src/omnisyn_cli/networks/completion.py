@@ -56,16 +56,11 @@ COMPLETION_VARIANTS = {
 
 @dataclass(frozen=True)
 class CompletionPrediction(DepthPrediction):
-    """Two modes for every pixel, which of them is right, and the confidence.
+    """Two modes for every pixel, which of them is right, and the confidence."""
 
-    Attributes:
-        modes: ``(batch, 2, height, width)`` √(inverse depth × baseline).
-        mode_logit: ``(batch, 1, height, width)``; its sigmoid is the probability of the first.
-        confidence_logit: ``(batch, 1, height, width)``; its sigmoid is the probability that the depth is within 10 %.
-    """
-
-    modes: Tensor
-    mode_logit: Tensor
+    modes: Tensor  # ``(batch, 2, height, width)`` √(inverse depth × baseline)
+    mode_logit: Tensor  # ``(batch, 1, height, width)``; its sigmoid is the probability of the first
+    # ``(batch, 1, height, width)``; its sigmoid is the probability that the depth is within 10 %
     confidence_logit: Tensor
 
     def sqrt_inv_depth(self) -> Float[Tensor, "batch 1 height width"]:

@@ -53,25 +53,15 @@ SHARPNESS = 8.0
 
 @dataclass(frozen=True)
 class GuidedDepthConfig(NetworkConfig):
-    """What makes one network differ from another.
+    """What makes one network differ from another."""
 
-    Attributes:
-        name: of the variant.
-        size: ``(height, width)`` of the exported file.
-        spheres: of the cost volume.
-        max_sqrt_inv_depth: of the nearest sphere.
-        features: channels that are correlated, a multiple of ``groups``.
-        groups: of features, each correlated for itself.
-        widths: channels of the U-net at strides 2, 4, 8, 16 and 32.
-    """
-
-    name: str
-    size: tuple[int, int] = (256, 512)
-    spheres: int = 48
-    max_sqrt_inv_depth: float = 2.0
-    features: int = 24
-    groups: int = 4
-    widths: tuple[int, ...] = (24, 64, 88, 120, 144)
+    name: str  # of the variant
+    size: tuple[int, int] = (256, 512)  # ``(height, width)`` of the exported file
+    spheres: int = 48  # of the cost volume
+    max_sqrt_inv_depth: float = 2.0  # of the nearest sphere
+    features: int = 24  # channels that are correlated, a multiple of ``groups``
+    groups: int = 4  # of features, each correlated for itself
+    widths: tuple[int, ...] = (24, 64, 88, 120, 144)  # channels of the U-net at strides 2, 4, 8, 16 and 32
 
     @property
     def size_multiple(self) -> int:
@@ -85,17 +75,11 @@ GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}
 
 @dataclass(frozen=True)
 class GuidedDepthPrediction(DepthPrediction):
-    """The estimate, how sure it is, and the estimates on the way.
+    """The estimate, how sure it is, and the estimates on the way."""
 
-    Attributes:
-        estimate: ``(batch, 1, height, width)`` √(inverse depth × baseline); below zero where nothing is there.
-        log_scale: ``(batch, 1, height, width)`` of the Laplace distribution of its error.
-        coarse: ``(batch, 1, height / s, width / s)`` the estimates at strides s = 4 and 2.
-    """
-
-    estimate: Tensor
-    log_scale: Tensor
-    coarse: tuple[Tensor, ...]
+    estimate: Tensor  # ``(batch, 1, height, width)`` √(inverse depth × baseline); below zero where nothing is there
+    log_scale: Tensor  # ``(batch, 1, height, width)`` of the Laplace distribution of its error
+    coarse: tuple[Tensor, ...]  # ``(batch, 1, height / s, width / s)`` the estimates at strides s = 4 and 2
 
     def sqrt_inv_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """The estimate."""

@@ -26,23 +26,15 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class Ports:
-    """What goes in and out of a network's file, all of it ``(1, channels, height, width)``.
+    """What goes in and out of a network's file, all of it ``(1, channels, height, width)``."""
 
-    Attributes:
-        inputs: channels by name.
-        outputs: names.
-        size: ``(height, width)`` that it takes; None for all multiples of its configuration's ``size_multiple``.
-        notes: for the metadata.
-        is_folded: whether constants are computed when the file is written.
-        own_sizes: of inputs that are not of that size.
-    """
-
-    inputs: Mapping[str, int]
-    outputs: tuple[str, ...] = ("inverse_depth", "confidence")
+    inputs: Mapping[str, int]  # channels by name
+    outputs: tuple[str, ...] = ("inverse_depth", "confidence")  # names
+    # ``(height, width)`` that it takes; None for all multiples of its configuration's ``size_multiple``
     size: tuple[int, int] | None = None
-    notes: Mapping[str, str] = field(default_factory=dict)
-    is_folded: bool = True
-    own_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)  # for the metadata
+    is_folded: bool = True  # whether constants are computed when the file is written
+    own_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # of inputs that are not of that size
 
     def input_shapes(self, size: tuple[int, int]) -> dict[str, tuple[int, int, int]]:
         """Channels, height and width of each input, of a network that is called at ``size``."""

@@ -57,23 +57,15 @@ RGB_CHANNELS = 3
 
 @dataclass(frozen=True)
 class PaperConfig(NetworkConfig):
-    """The network's sizes; those of the paper unless changed.
+    """The network's sizes; those of the paper unless changed."""
 
-    Attributes:
-        name: of the variant.
-        size: ``(height, width)`` it is trained and exported at; multiples of 32.
-        widths: channels of the features' encoder; the last is the bottleneck. Features have as many as the second.
-        volume_widths: the same for the 3-D UNet.
-        levels: spheres of the volume, a multiple of 8.
-        nearest_sphere: its inverse depth × baseline; the farthest is at infinity.
-    """
-
-    name: str
-    size: tuple[int, int]
+    name: str  # of the variant
+    size: tuple[int, int]  # ``(height, width)`` it is trained and exported at; multiples of 32
+    # channels of the features' encoder; the last is the bottleneck. Features have as many as the second.
     widths: tuple[int, ...] = (16, 32, 64, 128, 256, 512)
-    volume_widths: tuple[int, ...] = (64, 128, 256, 512)
-    levels: int = 64
-    nearest_sphere: float = 2.0
+    volume_widths: tuple[int, ...] = (64, 128, 256, 512)  # the same for the 3-D UNet
+    levels: int = 64  # spheres of the volume, a multiple of 8
+    nearest_sphere: float = 2.0  # its inverse depth × baseline; the farthest is at infinity
 
     @property
     def size_multiple(self) -> int:
@@ -96,15 +88,10 @@ PAPER_VARIANTS = {
 
 @dataclass(frozen=True)
 class PaperPrediction(DepthPrediction):
-    """The prediction for the first panorama.
+    """The prediction for the first panorama."""
 
-    Attributes:
-        low: ``(batch, 1, height, width)`` inverse depth × baseline of the low head, enlarged to the image's size.
-        high: ``(batch, 1, height, width)`` of the high head. Slightly negative values mean "infinitely far".
-    """
-
-    low: Tensor
-    high: Tensor
+    low: Tensor  # ``(batch, 1, height, width)`` inverse depth × baseline of the low head, enlarged to the image's size
+    high: Tensor  # ``(batch, 1, height, width)`` of the high head. Slightly negative values mean "infinitely far".
 
     def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """Inverse depth · baseline of the high head, bounded, never negative."""

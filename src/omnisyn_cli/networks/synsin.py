@@ -38,29 +38,17 @@ MIN_DIVISOR_OPACITY = 0.05
 
 @dataclass(frozen=True)
 class SynSinConfig(NetworkConfig):
-    """The networks' sizes.
+    """The networks' sizes."""
 
-    Attributes:
-        name: of the variant.
-        size: ``(height, width)`` they are trained and exported at.
-        features: channels of every point, colours included (64 in the paper).
-        depth_widths: channels of the depth network, from stride 4 on.
-        decoder_widths: channels of the decoder, from stride 2 on.
-        fine: channels of the depth network at stride 2, and half as many of the decoder at full resolution.
-        max_sqrt_inv_depth: largest √(inverse depth in 1/m) that is predicted.
-        radius: of a point in rows; at 128 rows the angle of the paper's 4 at 256.
-        points: that a pixel is made of at most (128 in the paper).
-    """
-
-    name: str
-    size: tuple[int, int]
-    features: int = 8
-    depth_widths: tuple[int, ...] = (32, 64, 96, 128)
-    decoder_widths: tuple[int, ...] = (24, 40, 64)
-    fine: int = 16
-    max_sqrt_inv_depth: float = 2.0
-    radius: float = 2.0
-    points: int = 16
+    name: str  # of the variant
+    size: tuple[int, int]  # ``(height, width)`` they are trained and exported at
+    features: int = 8  # channels of every point, colours included (64 in the paper)
+    depth_widths: tuple[int, ...] = (32, 64, 96, 128)  # channels of the depth network, from stride 4 on
+    decoder_widths: tuple[int, ...] = (24, 40, 64)  # channels of the decoder, from stride 2 on
+    fine: int = 16  # channels of the depth network at stride 2, and half as many of the decoder at full resolution
+    max_sqrt_inv_depth: float = 2.0  # largest √(inverse depth in 1/m) that is predicted
+    radius: float = 2.0  # of a point in rows; at 128 rows the angle of the paper's 4 at 256
+    points: int = 16  # that a pixel is made of at most (128 in the paper)
 
     @property
     def size_multiple(self) -> int:

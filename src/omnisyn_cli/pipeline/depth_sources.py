@@ -34,26 +34,19 @@ needs it, so a plan counts it always."""
 
 @dataclass(frozen=True)
 class DepthSource:
-    """Where depth comes from.
+    """Where depth comes from."""
 
-    Attributes:
-        kind: one of :data:`DEPTH_SOURCES`.
-        rows: that it is looked for at; refined estimates have half of them, those of matching alone as many, but not
-            more than it is good at, see :mod:`omnisyn_cli.stereo.depth_sizes`; a network alone answers in a size of
-            its own.
-        model: name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves
-            the network out, to compare with.
-        prior: likewise of the network that says what depth to expect where the baseline is wide, for ``refined``; None
-            leaves it out. A file may be a monocular network of the user's, see
-            :mod:`omnisyn_cli.runtime.monocular_session`.
-        prior_kind: what the user says of that, in words.
-    """
-
-    kind: str = "file"
+    kind: str = "file"  # one of :data:`DEPTH_SOURCES`
+    # that it is looked for at; refined estimates have half of them, those of matching alone as many, but not more than
+    # it is good at, see :mod:`omnisyn_cli.stereo.depth_sizes`; a network alone answers in a size of its own
     rows: int = 512
+    # name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves the network
+    # out, to compare with
     model: str | None = None
+    # likewise of the network that says what depth to expect where the baseline is wide, for ``refined``; None leaves it
+    # out. A file may be a monocular network of the user's, see :mod:`omnisyn_cli.runtime.monocular_session`.
     prior: str | None = None
-    prior_kind: str = ""
+    prior_kind: str = ""  # what the user says of that, in words
 
     @property
     def strategy(self) -> DepthStrategy:
@@ -82,35 +75,23 @@ def _matching_size(source: DepthSource, picture_rows: int, files: Sequence[Path]
 
 @dataclass(frozen=True)
 class DepthStrategy:
-    """A source of depth.
-
-    Attributes:
-        help: for that of ``--depth``.
-        make: makes the estimator of its settings, a function that opens a network by name, and the number of threads.
-        grid_sizes: height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the
-            depth files of the panoramas.
-        reads_files: whether depth comes with the panoramas and is not estimated.
-        role: of the network that takes part, as the manifest of models calls it; None if none does.
-        model_is_optional: whether depth is estimated without the network as well, and at rows of any number.
-        model: name in the manifest of its network where no preset names one.
-        program_bytes: memory of the program, before pictures.
-        network_bytes: memory of the network for each pixel of the coarsest surface.
-        estimation_bytes: memory that is given back when depth was found and both surfaces were made.
-        refining_bytes: memory for each pixel of the finest surface while depth is refined from size to size.
-    """
+    """A source of depth."""
 
     name: str
-    help: str
+    help: str  # for that of ``--depth``
+    # makes the estimator of its settings, a function that opens a network by name, and the number of threads
     make: EstimatorMaker
+    # height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the depth files of
+    # the panoramas
     grid_sizes: Callable[[DepthSource, int, Sequence[Path]], list[Size]] = _matching_size
-    reads_files: bool = False
-    role: str | None = None
-    model_is_optional: bool = False
-    model: str | None = None
-    program_bytes: float = PROGRAM_BYTES
-    network_bytes: float = 0.0
-    estimation_bytes: float = 110e6
-    refining_bytes: float = 0.0
+    reads_files: bool = False  # whether depth comes with the panoramas and is not estimated
+    role: str | None = None  # of the network that takes part, as the manifest of models calls it; None if none does
+    model_is_optional: bool = False  # whether depth is estimated without the network as well, and at rows of any number
+    model: str | None = None  # name in the manifest of its network where no preset names one
+    program_bytes: float = PROGRAM_BYTES  # memory of the program, before pictures
+    network_bytes: float = 0.0  # memory of the network for each pixel of the coarsest surface
+    estimation_bytes: float = 110e6  # memory that is given back when depth was found and both surfaces were made
+    refining_bytes: float = 0.0  # memory for each pixel of the finest surface while depth is refined from size to size
 
     @property
     def has_network(self) -> bool:

@@ -33,24 +33,16 @@ class FuserSettings:
 
 @dataclass(frozen=True)
 class FusionStrategy:
-    """A way to make one frame of two renderings.
-
-    Attributes:
-        help: for that of ``--fusion``.
-        make: makes the fuser of its settings and a function that opens its network.
-        model: name in the manifest of its network; None has none.
-        network_bytes: memory of the network for a frame of so many pixels.
-        by_rules: whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled.
-        is_residual: whether a network corrects that rule; on a GPU the rule alone does then.
-    """
+    """A way to make one frame of two renderings."""
 
     name: str
-    help: str
+    help: str  # for that of ``--fusion``
+    # makes the fuser of its settings and a function that opens its network
     make: Callable[[FuserSettings, Callable[[], Any]], Fuser]
-    model: str | None = None
-    network_bytes: Callable[[int], float] = lambda pixels: 0.0
-    by_rules: bool = True
-    is_residual: bool = False
+    model: str | None = None  # name in the manifest of its network; None has none
+    network_bytes: Callable[[int], float] = lambda pixels: 0.0  # memory of the network for a frame of so many pixels
+    by_rules: bool = True  # whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled
+    is_residual: bool = False  # whether a network corrects that rule; on a GPU the rule alone does then
 
 
 def _make_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:

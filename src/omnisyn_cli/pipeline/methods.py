@@ -37,25 +37,16 @@ class MethodParts:
 
 @dataclass(frozen=True)
 class MethodStrategy:
-    """A way to make frames.
-
-    Attributes:
-        description: what it does, in a few words.
-        networks: names in the manifest of its own networks.
-        draws_surfaces: whether depth, renderer and fusion of a config matter.
-        is_offered: whether ``omnisyn interpolate`` has it; others are there for evaluation alone.
-        renderer_label: what it draws with, where no renderer can be chosen.
-        note: what users should know about its frames.
-    """
+    """A way to make frames."""
 
     name: str
-    description: str
+    description: str  # what it does, in a few words
     make: Callable[[MethodParts], Method]
-    networks: tuple[str, ...] = ()
-    draws_surfaces: bool = False
-    is_offered: bool = False
-    renderer_label: str = ""
-    note: str = ""
+    networks: tuple[str, ...] = ()  # names in the manifest of its own networks
+    draws_surfaces: bool = False  # whether depth, renderer and fusion of a config matter
+    is_offered: bool = False  # whether ``omnisyn interpolate`` has it; others are there for evaluation alone
+    renderer_label: str = ""  # what it draws with, where no renderer can be chosen
+    note: str = ""  # what users should know about its frames
 
 
 def _make_surfaces(parts: MethodParts) -> Method:

@@ -17,24 +17,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RendererStrategy:
-    """A way to draw surfaces.
-
-    Attributes:
-        help: for that of ``--renderer``.
-        place: module and name of its class, which is imported when it is asked for.
-        building_bytes: memory for each vertex while surfaces are made.
-        kept_bytes: memory for each vertex while frames are made.
-        pixel_bytes: memory for each pixel of a frame of what one view shows, without colours.
-        shades_on_demand: whether colours are made for some rows at a time, photographs are kept as samples of 8 bits,
-            and pixels at edges can be supersampled.
-    """
+    """A way to draw surfaces."""
 
     name: str
-    help: str
-    place: str
-    building_bytes: float
-    kept_bytes: float
-    pixel_bytes: int = 4
+    help: str  # for that of ``--renderer``
+    place: str  # module and name of its class, which is imported when it is asked for
+    building_bytes: float  # memory for each vertex while surfaces are made
+    kept_bytes: float  # memory for each vertex while frames are made
+    pixel_bytes: int = 4  # memory for each pixel of a frame of what one view shows, without colours
+    # whether colours are made for some rows at a time, photographs are kept as samples of 8 bits, and pixels at edges
+    # can be supersampled
     shades_on_demand: bool = False
 
     def load(self) -> RendererClass:

@@ -57,43 +57,28 @@ LIKE_PANORAMAS = 2
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """How pictures are read.
+    """How pictures are read."""
 
-    Attributes:
-        allow_aspect: see :func:`omnisyn_cli.io.read_panorama`.
-        threads: at most this many; None is one per core.
-        max_pixels: see :func:`omnisyn_cli.io.read_panorama`.
-        masks: an image for every panorama that is black where it must not be used, besides those of poses; or none.
-        nadir: radians around straight down that must not be used: tripod, roof of a car.
-        reading: what the files do not say of their pictures.
-    """
-
-    allow_aspect: bool = False
-    threads: int | None = None
-    max_pixels: int = MAX_PIXELS
+    allow_aspect: bool = False  # see :func:`omnisyn_cli.io.read_panorama`
+    threads: int | None = None  # at most this many; None is one per core
+    max_pixels: int = MAX_PIXELS  # see :func:`omnisyn_cli.io.read_panorama`
+    # an image for every panorama that is black where it must not be used, besides those of poses; or none
     masks: tuple[Path, ...] = ()
-    nadir: float = 0.0
-    reading: Reading = DEFAULT_READING
+    nadir: float = 0.0  # radians around straight down that must not be used: tripod, roof of a car
+    reading: Reading = DEFAULT_READING  # what the files do not say of their pictures
 
 
 @dataclass(frozen=True)
 class PairDiagnosis:
-    """A pair and what is wrong with its poses.
+    """A pair and what is wrong with its poses."""
 
-    Attributes:
-        first, second: the images.
-        diagnosis: what the matches say.
-        matches: of both.
-        fits: ``(n,)`` the matches that agree with the poses given.
-        views: both, reduced, with the poses given.
-    """
-
+    # the images
     first: Path
     second: Path
-    diagnosis: Diagnosis
-    matches: Matches
-    fits: Bool[np.ndarray, " n"]
-    views: tuple[View, View]
+    diagnosis: Diagnosis  # what the matches say
+    matches: Matches  # of both
+    fits: Bool[np.ndarray, " n"]  # the matches that agree with the poses given
+    views: tuple[View, View]  # both, reduced, with the poses given
 
     def camera_height(self) -> float | None:
         """Metres of both cameras above the floor, the mean; None where poses do not fit, or no floor is found."""
@@ -103,21 +88,14 @@ class PairDiagnosis:
 
 @dataclass(frozen=True)
 class FoundPoses:
-    """Poses that come from the pictures.
+    """Poses that come from the pictures."""
 
-    Attributes:
-        panoramas: entries by what a pose file calls the images.
-        notes: what was assumed, changed or left as it was, one sentence each.
-        changed: number of pairs whose relative pose comes from the pictures.
-        order: the images that have poses, in walking order, where poses were looked for without any given.
-        matched: names of the pairs whose pictures match, likewise.
-    """
-
-    panoramas: Mapping[str, PosedPanorama]
-    notes: tuple[str, ...]
-    changed: int
+    panoramas: Mapping[str, PosedPanorama]  # entries by what a pose file calls the images
+    notes: tuple[str, ...]  # what was assumed, changed or left as it was, one sentence each
+    changed: int  # number of pairs whose relative pose comes from the pictures
+    # the images that have poses, in walking order, where poses were looked for without any given
     order: tuple[Path, ...] = ()
-    matched: tuple[tuple[str, str], ...] = ()
+    matched: tuple[tuple[str, str], ...] = ()  # names of the pairs whose pictures match, likewise
 
     @property
     def links(self) -> tuple[tuple[str, str], ...] | None:
@@ -129,19 +107,12 @@ class FoundPoses:
 
 @dataclass(frozen=True)
 class PoseGraph:
-    """The panoramas of a set that matching pictures connect, by their numbers.
+    """The panoramas of a set that matching pictures connect, by their numbers."""
 
-    Attributes:
-        poses: in a world of their own; the unit is a baseline.
-        edges: pairs whose relative poses agree.
-        contradicting: the number of pairs between them that do not.
-        adjusted: all poses adjusted together; None of a single pair.
-    """
-
-    poses: dict[int, Pose]
-    edges: list[Edge]
-    contradicting: int
-    adjusted: Adjustment | None
+    poses: dict[int, Pose]  # in a world of their own; the unit is a baseline
+    edges: list[Edge]  # pairs whose relative poses agree
+    contradicting: int  # the number of pairs between them that do not
+    adjusted: Adjustment | None  # all poses adjusted together; None of a single pair
 
 
 def check_poses(

@@ -45,19 +45,13 @@ floor of which little is seen tilts by up to 10°, and its height is off by a qu
 
 @dataclass(frozen=True)
 class LevelSweep:
-    """How well level planes below two cameras fit.
+    """How well level planes below two cameras fit."""
 
-    Attributes:
-        views: of both.
-        heights: of both cameras above each plane, the mean.
-        support: of each plane above the median of all, as a share of the textured sphere; in the worse panorama.
-        is_significant: by the rules for peaks of a sweep.
-    """
-
-    views: tuple[View, View]
-    heights: Float[np.ndarray, " planes"]
+    views: tuple[View, View]  # of both
+    heights: Float[np.ndarray, " planes"]  # of both cameras above each plane, the mean
+    # of each plane above the median of all, as a share of the textured sphere; in the worse panorama
     support: Float[np.ndarray, " planes"]
-    is_significant: Bool[np.ndarray, " planes"]
+    is_significant: Bool[np.ndarray, " planes"]  # by the rules for peaks of a sweep
 
     @staticmethod
     def of(first: View, second: View) -> "LevelSweep":

@@ -27,21 +27,13 @@ NEIGHBOUR_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Hotspot:
-    """A mark in the tour; it has either a direction or a point.
+    """A mark in the tour; it has either a direction or a point."""
 
-    Attributes:
-        text: what it says.
-        link: an ``http:`` or ``https:`` address that it leads to, or None.
-        image: a picture that it shows, or None.
-        direction: unit vector in the frame of its panorama, or None.
-        point: place in the world in metres, or None.
-    """
-
-    text: str
-    link: str | None = None
-    image: Path | None = None
-    direction: Float[np.ndarray, " 3"] | None = None
-    point: Float[np.ndarray, " 3"] | None = None
+    text: str  # what it says
+    link: str | None = None  # an ``http:`` or ``https:`` address that it leads to, or None
+    image: Path | None = None  # a picture that it shows, or None
+    direction: Float[np.ndarray, " 3"] | None = None  # unit vector in the frame of its panorama, or None
+    point: Float[np.ndarray, " 3"] | None = None  # place in the world in metres, or None
 
     def direction_from(self, pose: Pose) -> Float[np.ndarray, " 3"]:
         """Unit vector towards it in the frame of a panorama: of its own one if it has a direction."""
@@ -52,55 +44,33 @@ class Hotspot:
 
 @dataclass(frozen=True)
 class TourPanorama:
-    """A panorama of a tour.
+    """A panorama of a tour."""
 
-    Attributes:
-        name: in the pose file.
-        image: its file.
-        pose: camera-to-world, metres.
-        title: its title; the name of its file without the ending unless the user gave one.
-        caption: a sentence about it, or empty.
-        hotspots: marks that belong to it.
-    """
-
-    name: str
-    image: Path
-    pose: Pose
-    title: str
-    caption: str = ""
-    hotspots: tuple[Hotspot, ...] = ()
+    name: str  # in the pose file
+    image: Path  # its file
+    pose: Pose  # camera-to-world, metres
+    title: str  # its title; the name of its file without the ending unless the user gave one
+    caption: str = ""  # a sentence about it, or empty
+    hotspots: tuple[Hotspot, ...] = ()  # marks that belong to it
 
 
 @dataclass(frozen=True)
 class StartView:
-    """Where a tour begins.
+    """Where a tour begins."""
 
-    Attributes:
-        panorama: its name.
-        yaw: radians to the right of the centre of its picture; None looks along the first link.
-        pitch: radians above the centre of its picture.
-        fov: radians that are seen from top to bottom; None leaves it to the viewer.
-    """
-
-    panorama: str
-    yaw: float | None = None
-    pitch: float = 0.0
-    fov: float | None = None
+    panorama: str  # its name
+    yaw: float | None = None  # radians to the right of the centre of its picture; None looks along the first link
+    pitch: float = 0.0  # radians above the centre of its picture
+    fov: float | None = None  # radians that are seen from top to bottom; None leaves it to the viewer
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A picture of the floor from above, with two control points.
+    """A picture of the floor from above, with two control points."""
 
-    Attributes:
-        image: its file.
-        pixels: (column, row) of both points, from the upper left corner.
-        positions: (x, z) of both points in the world, metres.
-    """
-
-    image: Path
-    pixels: tuple[tuple[float, float], tuple[float, float]]
-    positions: tuple[tuple[float, float], tuple[float, float]]
+    image: Path  # its file
+    pixels: tuple[tuple[float, float], tuple[float, float]]  # (column, row) of both points, from the upper left corner
+    positions: tuple[tuple[float, float], tuple[float, float]]  # (x, z) of both points in the world, metres
 
     def position_of(self, col: float, row: float) -> tuple[float, float]:
         """(x, z) in the world of a place in the picture: the similarity of the control points, without a mirror."""
@@ -116,25 +86,15 @@ class FloorPlan:
 
 @dataclass(frozen=True)
 class Tour:
-    """Panoramas and what connects them.
+    """Panoramas and what connects them."""
 
-    Attributes:
-        title: of the whole tour.
-        panoramas: in the order of the job.
-        links: pairs of names, each once.
-        start: where it begins.
-        hotspots: marks with points that every panorama shows.
-        plan: floor plan, or None.
-        is_geographic: whether the world's −z is north.
-    """
-
-    title: str
-    panoramas: tuple[TourPanorama, ...]
-    links: tuple[Link, ...]
-    start: StartView
-    hotspots: tuple[Hotspot, ...] = ()
-    plan: FloorPlan | None = None
-    is_geographic: bool = False
+    title: str  # of the whole tour
+    panoramas: tuple[TourPanorama, ...]  # in the order of the job
+    links: tuple[Link, ...]  # pairs of names, each once
+    start: StartView  # where it begins
+    hotspots: tuple[Hotspot, ...] = ()  # marks with points that every panorama shows
+    plan: FloorPlan | None = None  # floor plan, or None
+    is_geographic: bool = False  # whether the world's −z is north
 
     @cached_property
     def by_name(self) -> Mapping[str, TourPanorama]:

@@ -56,22 +56,17 @@ SPAN_MARGIN_COLUMNS = 0.5
 
 
 class Target(NamedTuple):
-    """The image that is drawn to.
+    """The image that is drawn to."""
 
-    Attributes:
-        rows, cols: sines and cosines of the polar angles; sines and negative cosines of the azimuths; float32.
-        exact_rows, exact_cols: the same in float64.
-        scale: see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
-        inverse_depth: row after row.
-        height, width: rows and columns.
-    """
-
+    # sines and cosines of the polar angles; sines and negative cosines of the azimuths; float32
     rows: np.ndarray
     cols: np.ndarray
+    # the same in float64
     exact_rows: np.ndarray
     exact_cols: np.ndarray
-    scale: tuple[np.float32, ...]
-    inverse_depth: np.ndarray
+    scale: tuple[np.float32, ...]  # see :func:`omnisyn_cli.geometry.sphere.pixel_scale`
+    inverse_depth: np.ndarray  # row after row
+    # rows and columns
     height: int
     width: int
 

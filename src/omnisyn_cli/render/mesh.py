@@ -59,30 +59,22 @@ CUT_QUADS_AT_A_TIME = 1 << 12
 
 @dataclass(frozen=True)
 class Cut:
-    """When two neighbouring vertices belong to different surfaces.
+    """When two neighbouring vertices belong to different surfaces."""
 
-    Attributes:
-        relative: largest step of inverse depth relative to the nearer vertex, in (0, 1]. None switches the test off.
-        metres: largest step of depth (the paper's criterion, there 2 m). None switches the test off.
-    """
-
+    # largest step of inverse depth relative to the nearer vertex, in (0, 1]. None switches the test off.
     relative: float | None = MESH_CUT_STEP
-    metres: float | None = None
+    metres: float | None = None  # largest step of depth (the paper's criterion, there 2 m). None switches the test off.
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """The surface of a panorama, in its own frame.
+    """The surface of a panorama, in its own frame."""
 
-    Attributes:
-        inverse_depth: ``(height, width)`` float32, 1/metre, of the vertices; negative where there is no surface.
-        quads: ``(height - 1, width)`` one byte of flags per quad.
-        surface_confidence: ``(height - 1, width, 4)`` float32 in (0, 1] of each quarter of each quad, see
-            :mod:`omnisyn_cli.render.surface_confidence`; in a whole quad all four are equal.
-    """
-
+    # float32, 1/metre, of the vertices; negative where there is no surface
     inverse_depth: Float[np.ndarray, "height width"]
-    quads: UInt8[np.ndarray, "height-1 width"]
+    quads: UInt8[np.ndarray, "height-1 width"]  # one byte of flags per quad
+    # float32 in (0, 1] of each quarter of each quad, see :mod:`omnisyn_cli.render.surface_confidence`; in a whole quad
+    # all four are equal
     surface_confidence: Float[np.ndarray, "height-1 width 4"]
 
     @property
@@ -245,19 +237,14 @@ def _around_poles(poles: Iterable[Array], rings: Iterable[Array], following: Ite
 
 @dataclass(frozen=True)
 class Surface:
-    """The drawn quads of a mesh and their points.
+    """The drawn quads of a mesh and their points."""
 
-    Attributes:
-        direction: of all points: the vertices, then four for each piece; not all of length one.
-        inverse_depth: of the same; negative where there is no surface.
-        corner: indices of each quad's points; it is split from the first to the fourth, see :data:`TRIANGLES`.
-        number: half of the number of the first face of each quad, ascending.
-    """
-
+    # of all points: the vertices, then four for each piece; not all of length one
     direction: Float[np.ndarray, "points 3"]
-    inverse_depth: Float[np.ndarray, " points"]
+    inverse_depth: Float[np.ndarray, " points"]  # of the same; negative where there is no surface
+    # indices of each quad's points; it is split from the first to the fourth, see :data:`TRIANGLES`
     corner: Integer[np.ndarray, "quads 4"]
-    number: Integer[np.ndarray, " quads"]
+    number: Integer[np.ndarray, " quads"]  # half of the number of the first face of each quad, ascending
 
     def corners_of(self, faces: Integer[np.ndarray, " faces"]) -> Integer[np.ndarray, "faces 3"]:
         """Indices of the points of drawn faces."""

@@ -64,35 +64,25 @@ itself a quad, split from its first to its fourth point: its own corner, the mid
 
 
 class QuadBlocks(NamedTuple):
-    """Quads to be drawn, in blocks of :data:`BLOCK`; kernels take it as it is.
+    """Quads to be drawn, in blocks of :data:`BLOCK`; kernels take it as it is."""
 
-    Attributes:
-        points: x, y, z of a direction in the frame of the panorama, of any length, and inverse depth, of all points.
-        corners: of each block, where in ``points`` the runs of first, second, third and fourth corners begin. Where
-            the second run begins one after the first, and the fourth after the third, two runs are shared: quads of a
-            row of a grid.
-        codes: flags :data:`DIAGONAL` and :data:`HOLE_FLAG` of each quad; blocks are padded with removed quads.
-        gaps: radians times distance by which the edges of each quad reach outwards; empty if none does.
-    """
-
+    # x, y, z of a direction in the frame of the panorama, of any length, and inverse depth, of all points
     points: Float32[np.ndarray, "4 points"]
+    # of each block, where in ``points`` the runs of first, second, third and fourth corners begin. Where the second run
+    # begins one after the first, and the fourth after the third, two runs are shared: quads of a row of a grid.
     corners: Integer[np.ndarray, "blocks 4"]
+    # flags :data:`DIAGONAL` and :data:`HOLE_FLAG` of each quad; blocks are padded with removed quads
     codes: UInt8[np.ndarray, "blocks quads"]
+    # radians times distance by which the edges of each quad reach outwards; empty if none does
     gaps: Float32[np.ndarray, " all_quads"]
 
 
 class PlacedQuads(NamedTuple):
-    """The quads of one block after their points were transformed.
+    """The quads of one block after their points were transformed."""
 
-    Attributes:
-        corners: where in the scratch array the first, second, third and fourth corners begin.
-        codes: flags, see :class:`QuadBlocks`.
-        gaps: likewise; empty where no edge reaches outwards.
-    """
-
-    corners: tuple[int, int, int, int]
-    codes: np.ndarray
-    gaps: np.ndarray
+    corners: tuple[int, int, int, int]  # where in the scratch array the first, second, third and fourth corners begin
+    codes: np.ndarray  # flags, see :class:`QuadBlocks`
+    gaps: np.ndarray  # likewise; empty where no edge reaches outwards
 
 
 NO_GAPS = np.empty(0, np.float32)

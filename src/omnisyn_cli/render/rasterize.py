@@ -30,15 +30,11 @@ __all__ = ["NO_FACE", "Fragments", "PerspectiveRasterizer", "rasterize"]
 
 @dataclass(frozen=True)
 class Fragments:
-    """What each target pixel sees of one mesh.
+    """What each target pixel sees of one mesh."""
 
-    Attributes:
-        inverse_depth: ``(height, width)`` 1/metre from the target's centre; negative where nothing is seen.
-        face: ``(height, width)`` face number, :data:`NO_FACE` where nothing is seen.
-    """
-
+    # 1/metre from the target's centre; negative where nothing is seen
     inverse_depth: Float32[np.ndarray, "height width"]
-    face: Int32[np.ndarray, "height width"]
+    face: Int32[np.ndarray, "height width"]  # face number, :data:`NO_FACE` where nothing is seen
 
     @property
     def visibility(self) -> Bool[np.ndarray, "height width"]:

@@ -36,17 +36,11 @@ MIN_RELATIVE_DETERMINANT = 1e-4
 
 @dataclass(frozen=True)
 class TorchLayer:
-    """What a target sees, as torch tensors on the device of the source and in its precision.
+    """What a target sees, as torch tensors on the device of the source and in its precision."""
 
-    Attributes:
-        colour: 0 where nothing is seen.
-        inverse_depth: 1/metre from the target's centre; negative where nothing is seen.
-        visibility: whether a surface is seen; no gradient.
-    """
-
-    colour: Float[Tensor, "height width channels"]
-    inverse_depth: Float[Tensor, "height width"]
-    visibility: Bool[Tensor, "height width"]
+    colour: Float[Tensor, "height width channels"]  # 0 where nothing is seen
+    inverse_depth: Float[Tensor, "height width"]  # 1/metre from the target's centre; negative where nothing is seen
+    visibility: Bool[Tensor, "height width"]  # whether a surface is seen; no gradient
 
 
 def render_fragments(

@@ -26,15 +26,12 @@ InverseDepth = Float32[np.ndarray, "height width"]
 
 @dataclass(frozen=True)
 class ConfidenceMap:
-    """Confidence of the quarters of a mesh's quads, to be looked up by texture coordinates of its panorama.
+    """Confidence of the quarters of a mesh's quads, to be looked up by texture coordinates of its panorama."""
 
-    Attributes:
-        values: an image of the quarters, row after row, with a row for each polar cap and a column before the first,
-            which repeats the last; empty if all of it is 1.
-        layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row.
-    """
-
+    # an image of the quarters, row after row, with a row for each polar cap and a column before the first, which
+    # repeats the last; empty if all of it is 1
     values: Float32[np.ndarray, " numbers"]
+    # scale and offset from texel rows to rows of this image, the same for columns, numbers per row
     layout: Float32[np.ndarray, "5"]
 
 

@@ -55,20 +55,13 @@ LEVEL, Y, X, Z = 0, 1, 2, 3
 
 
 class TextureArrays(NamedTuple):
-    """A photograph and the confidence in its surface, as kernels take them.
+    """A photograph and the confidence in its surface, as kernels take them."""
 
-    Attributes:
-        confidence: of the quarters of quads, row after row; empty where all of it is 1.
-        confidence_layout: see :class:`omnisyn_cli.render.shade.ConfidenceMap`.
-        texels: see :class:`omnisyn_cli.render.texture.Texture`.
-        layout: likewise.
-        weights: of :func:`omnisyn_cli.render.texture.cubic_weights` for these texels, of rows and of columns.
-    """
-
-    confidence: np.ndarray
-    confidence_layout: np.ndarray
-    texels: np.ndarray
-    layout: np.ndarray
+    confidence: np.ndarray  # of the quarters of quads, row after row; empty where all of it is 1
+    confidence_layout: np.ndarray  # see :class:`omnisyn_cli.render.shade.ConfidenceMap`
+    texels: np.ndarray  # see :class:`omnisyn_cli.render.texture.Texture`
+    layout: np.ndarray  # likewise
+    # of :func:`omnisyn_cli.render.texture.cubic_weights` for these texels, of rows and of columns
     weights: tuple[np.ndarray, np.ndarray]
 
 
@@ -84,31 +77,18 @@ class SourceView(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Scratch arrays for the runs of one thread, and what does not depend on the run.
+    """Scratch arrays for the runs of one thread, and what does not depend on the run."""
 
-    Attributes:
-        coordinates: ``(4, run)``, see :data:`LEVEL`.
-        modes: how each pixel is read.
-        confidences: of each pixel.
-        fractions: ``(3, run)`` for bicubic reads: texel index, and which weights rows and columns have.
-        indices: ``(levels, run)`` for reads of mip levels: first texel.
-        shares: four bilinear weights of each pixel, level after level.
-        has_level: which levels of the two above are filled in for this run.
-        starts: offset of each level in the texels.
-        strides: numbers per row of each level.
-        factors: ``(levels, 4)`` from texel rows and columns at full resolution to those of each level.
-    """
-
-    coordinates: np.ndarray
-    modes: np.ndarray
-    confidences: np.ndarray
-    fractions: np.ndarray
-    indices: np.ndarray
-    shares: np.ndarray
-    has_level: np.ndarray
-    starts: np.ndarray
-    strides: np.ndarray
-    factors: np.ndarray
+    coordinates: np.ndarray  # ``(4, run)``, see :data:`LEVEL`
+    modes: np.ndarray  # how each pixel is read
+    confidences: np.ndarray  # of each pixel
+    fractions: np.ndarray  # ``(3, run)`` for bicubic reads: texel index, and which weights rows and columns have
+    indices: np.ndarray  # ``(levels, run)`` for reads of mip levels: first texel
+    shares: np.ndarray  # four bilinear weights of each pixel, level after level
+    has_level: np.ndarray  # which levels of the two above are filled in for this run
+    starts: np.ndarray  # offset of each level in the texels
+    strides: np.ndarray  # numbers per row of each level
+    factors: np.ndarray  # ``(levels, 4)`` from texel rows and columns at full resolution to those of each level
 
 
 @fast_kernel()

@@ -116,19 +116,12 @@ def _bulge(first, last, middle):
 
 
 class FlatnessTest(NamedTuple):
-    """What decides whether quads may become one.
+    """What decides whether quads may become one."""
 
-    Attributes:
-        rho: ``(height, width)`` inverse depth of the vertices.
-        bounds: of its errors, see :func:`bound_errors`.
-        tables: see :func:`omnisyn_cli.geometry.sphere.direction_tables`.
-        tolerance: radians by which the upper and lower edges may leave their row.
-    """
-
-    rho: np.ndarray
-    bounds: np.ndarray
-    tables: tuple[np.ndarray, ...]
-    tolerance: float
+    rho: np.ndarray  # ``(height, width)`` inverse depth of the vertices
+    bounds: np.ndarray  # of its errors, see :func:`bound_errors`
+    tables: tuple[np.ndarray, ...]  # see :func:`omnisyn_cli.geometry.sphere.direction_tables`
+    tolerance: float  # radians by which the upper and lower edges may leave their row
 
 
 @subkernel()

@@ -27,18 +27,14 @@ CUBIC_STEPS = {"uint8": 1024, "float32": 8192}
 
 @dataclass(frozen=True)
 class Texture:
-    """A panorama's colours and alpha at full and reduced resolutions.
+    """A panorama's colours and alpha at full and reduced resolutions."""
 
-    Attributes:
-        size: height and width of the full resolution.
-        texels: all levels one after the other, float32 or 8 bits of one, each ``(height + 4, width + 4, 4)`` with a
-            border of two pixels; level k is half the size of level k − 1 (rounded down), averaged.
-        layout: per level: offset in ``texels``, numbers per row, (row, col) of an angle as scale and offset, and what
-            to multiply texels by.
-    """
-
-    size: tuple[int, int]
+    size: tuple[int, int]  # height and width of the full resolution
+    # all levels one after the other, float32 or 8 bits of one, each ``(height + 4, width + 4, 4)`` with a border of two
+    # pixels; level k is half the size of level k − 1 (rounded down), averaged
     texels: Float32[np.ndarray, " numbers"] | UInt8[np.ndarray, " numbers"]
+    # per level: offset in ``texels``, numbers per row, (row, col) of an angle as scale and offset, and what to multiply
+    # texels by
     layout: Float[np.ndarray, "levels 7"]
 
 

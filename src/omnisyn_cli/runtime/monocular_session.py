@@ -38,17 +38,11 @@ MAX_KEPT_ANSWERS = 500
 
 @dataclass(frozen=True)
 class NetworkKind:
-    """What a network is asked and what its numbers are; None is found out.
+    """What a network is asked and what its numbers are; None is found out."""
 
-    Attributes:
-        is_panoramic: whether it sees panoramas; else perspective pictures.
-        reading: one of :data:`READING_WORDS`.
-        is_normalized: whether its pictures have the mean and deviation of ImageNet.
-    """
-
-    is_panoramic: bool | None = None
-    reading: str | None = None
-    is_normalized: bool = False
+    is_panoramic: bool | None = None  # whether it sees panoramas; else perspective pictures
+    reading: str | None = None  # one of :data:`READING_WORDS`
+    is_normalized: bool = False  # whether its pictures have the mean and deviation of ImageNet
 
     @staticmethod
     def from_words(text: str) -> NetworkKind:

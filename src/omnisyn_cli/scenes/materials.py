@@ -34,33 +34,21 @@ class Pattern(IntEnum):
 
 
 class Material(NamedTuple):
-    """A surface.
+    """A surface."""
 
-    Attributes:
-        pattern: what is drawn.
-        first, second, third: its colours, sRGB in [0, 1].
-        cell: size of the pattern's cell, metres.
-        line: width of joints, bars or frames, metres.
-        grain: strength of the noise that lies over everything.
-        grain_size: wavelength of its coarsest octave, metres.
-        detail: a number in [0, 1] with a meaning of each pattern's own.
-        gloss: 0 (matt) to 1 (mirror-like at grazing angles).
-        glow: light of its own, in units of the colours.
-        seed: of the noise and of the cells.
-    """
-
-    pattern: Pattern = Pattern.PLAIN
+    pattern: Pattern = Pattern.PLAIN  # what is drawn
+    # its colours, sRGB in [0, 1]
     first: Colour = (0.5, 0.5, 0.5)
     second: Colour = (0.4, 0.4, 0.4)
     third: Colour = (0.3, 0.3, 0.3)
-    cell: tuple[float, float] = (1.0, 1.0)
-    line: float = 0.02
-    grain: float = 0.15
-    grain_size: float = 0.7
-    detail: float = 0.5
-    gloss: float = 0.0
-    glow: float = 0.0
-    seed: int = 1
+    cell: tuple[float, float] = (1.0, 1.0)  # size of the pattern's cell, metres
+    line: float = 0.02  # width of joints, bars or frames, metres
+    grain: float = 0.15  # strength of the noise that lies over everything
+    grain_size: float = 0.7  # wavelength of its coarsest octave, metres
+    detail: float = 0.5  # a number in [0, 1] with a meaning of each pattern's own
+    gloss: float = 0.0  # 0 (matt) to 1 (mirror-like at grazing angles)
+    glow: float = 0.0  # light of its own, in units of the colours
+    seed: int = 1  # of the noise and of the cells
 
 
 COLOURS = ("first", "second", "third")

@@ -101,81 +101,52 @@ GROUND_REACH = 1000.0
 
 
 class Lighting(NamedTuple):
-    """Where light comes from and what the sky looks like; colours are linear RGB. A tuple, for the kernels.
+    """Where light comes from and what the sky looks like; colours are linear RGB. A tuple, for the kernels."""
 
-    Attributes:
-        sun_direction: unit vector towards the sun.
-        sun: colour of direct sunlight.
-        sky: colour of the light from above.
-        bounce: colour of the light from below.
-        softness: tangent of the half angle of the sun; makes penumbras.
-        zenith, horizon, cloud: colours of the picture of the sky.
-        cloud_cover: 0 (clear) to 1 (overcast).
-        cloud_scale: size of the clouds.
-        haze: 1/metres; how fast distance turns to the colour of the horizon.
-        exposure: factor on all light before tone mapping.
-        seed: of the clouds.
-    """
-
-    sun_direction: Point
-    sun: Colour
-    sky: Colour
-    bounce: Colour
-    softness: float = 0.005
+    sun_direction: Point  # unit vector towards the sun
+    sun: Colour  # colour of direct sunlight
+    sky: Colour  # colour of the light from above
+    bounce: Colour  # colour of the light from below
+    softness: float = 0.005  # tangent of the half angle of the sun; makes penumbras
+    # colours of the picture of the sky
     zenith: Colour = (0.15, 0.32, 0.68)
     horizon: Colour = (0.62, 0.72, 0.82)
     cloud: Colour = (0.9, 0.9, 0.9)
-    cloud_cover: float = 0.5
-    cloud_scale: float = 1.0
-    haze: float = 0.0
-    exposure: float = 1.0
-    seed: int = 0
+    cloud_cover: float = 0.5  # 0 (clear) to 1 (overcast)
+    cloud_scale: float = 1.0  # size of the clouds
+    haze: float = 0.0  # 1/metres; how fast distance turns to the colour of the horizon
+    exposure: float = 1.0  # factor on all light before tone mapping
+    seed: int = 0  # of the clouds
 
 
 @dataclass(frozen=True)
 class Walkway:
-    """Where cameras may stand.
+    """Where cameras may stand."""
 
-    Attributes:
-        low, high: opposite corners of a box of camera positions, metres; heights count from the ground.
-        heading: direction of motion in the horizontal plane (x, z), unit length; (0, 0) = any.
-        baselines: shortest and longest usual distance between the first and the last camera.
-        clearance: distance that cameras keep from everything, metres.
-        max_baseline_in_depths: longest usual baseline in multiples of the nearest depth at its ends. Baselines are then
-            drawn evenly in their logarithm and shortened until they fit. None: drawn evenly.
-        slope: standard deviation of the climb of those paths that are not level, a tangent.
-    """
-
+    # opposite corners of a box of camera positions, metres; heights count from the ground
     low: Point
     high: Point
-    heading: tuple[float, float]
-    baselines: tuple[float, float]
-    clearance: float
+    heading: tuple[float, float]  # direction of motion in the horizontal plane (x, z), unit length; (0, 0) = any
+    baselines: tuple[float, float]  # shortest and longest usual distance between the first and the last camera
+    clearance: float  # distance that cameras keep from everything, metres
+    # longest usual baseline in multiples of the nearest depth at its ends. Baselines are then drawn evenly in their
+    # logarithm and shortened until they fit. None: drawn evenly.
     max_baseline_in_depths: float | None = None
-    slope: float = 0.02
+    slope: float = 0.02  # standard deviation of the climb of those paths that are not level, a tangent
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that is seen.
+    """Everything that is seen."""
 
-    Attributes:
-        kind: name of the generator.
-        shapes: records of :data:`omnisyn_cli.scenes.scene.PACKED_SHAPE`; the first is the ground.
-        materials: records of :data:`omnisyn_cli.scenes.materials.PACKED_MATERIAL`.
-        ground: unit normal and offset of the plane ``normal · x = offset``.
-        lamps: position and linear colour of lamps without shadows.
-        photos: photographs that some materials show.
-    """
-
-    kind: str
-    shapes: np.ndarray
-    materials: np.ndarray
-    ground: Float[np.ndarray, "4"]
-    lamps: Float[np.ndarray, "l 6"]
+    kind: str  # name of the generator
+    shapes: np.ndarray  # records of :data:`omnisyn_cli.scenes.scene.PACKED_SHAPE`; the first is the ground
+    materials: np.ndarray  # records of :data:`omnisyn_cli.scenes.materials.PACKED_MATERIAL`
+    ground: Float[np.ndarray, "4"]  # unit normal and offset of the plane ``normal · x = offset``
+    lamps: Float[np.ndarray, "l 6"]  # position and linear colour of lamps without shadows
     lighting: Lighting
     walkways: tuple[Walkway, ...]
-    photos: Photos = NO_PHOTOS
+    photos: Photos = NO_PHOTOS  # photographs that some materials show
 
 
 @dataclass

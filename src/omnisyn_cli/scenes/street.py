@@ -22,21 +22,16 @@ STREET_HALF_LENGTH = 85.0
 
 @dataclass(frozen=True)
 class StreetPlan:
-    """Style and measures of a street along z; lengths in metres.
+    """Style and measures of a street along z; lengths in metres."""
 
-    Attributes:
-        style: "town", "suburb", "office" or "square".
-        road, pavement: half width of the roadway, and width of each pavement.
-        kerb, slope: height of the pavement above the road, and rise per metre along z.
-        crossings: z and half width of each crossing road.
-    """
-
-    style: str
+    style: str  # "town", "suburb", "office" or "square"
+    # half width of the roadway, and width of each pavement
     road: float
     pavement: float
+    # height of the pavement above the road, and rise per metre along z
     kerb: float
     slope: float
-    crossings: tuple[tuple[float, float], ...]
+    crossings: tuple[tuple[float, float], ...]  # z and half width of each crossing road
 
     def ground(self, z: float, raised: bool = True) -> float:
         """Height of the road, or of the pavement, at z."""

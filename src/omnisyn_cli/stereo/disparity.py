@@ -47,52 +47,41 @@ class MatchingOptions:
 
     Costs and penalties are in units of the matching cost: 0 is a perfect match, 1 an unrelated window. Unless said
     otherwise the defaults were tuned by hand on ray-traced warehouses.
-
-    Attributes:
-        size: ``(height, width)`` of the estimates; matching runs at half of it.
-        max_parallax: radians. On a path halfway between the cameras a surface that passes at a perpendicular distance
-            of h baselines has a parallax of ``2·atan(1 / 2h)``.
-        max_camera_height: baselines above the ground. It bounds the disparity below the horizon from below: shading
-            that moves with the camera otherwise passes for infinitely far ground.
-        colour_weight: weight of colour differences against the census, in [0, 1].
-        clipped_colour_weight: the same where much of a picture was clipped at white. (In a white hall one stop
-            more costs 0.8 dB with it and 2.3 dB without.)
-        colour_truncation: colour difference that counts as a contradiction.
-        p1, p2: penalties of semi-global matching for disparity changes by one row and by more.
-        p2_contrast: grey difference that halves P2.
-        min_margin: least margin of the aggregated cost over the best rival for a valid disparity.
-        min_uniqueness: least margin of the pixel's own cost for a match to propose planes: repeating tiles of a ceiling
-            agree about a plane that is not there.
-        max_planes: fitted planes per pair.
-        min_plane_support: least share of the matched solid angle of both panoramas that a plane explains.
-        label_penalty, label_contrast: as ``p2`` and ``p2_contrast``, between surface labels.
-        valid_match_bias, invalid_match_bias: extra cost of the semi-global match against a plane, where it is valid and
-            where it is not.
-        unsupported_plane_penalty: extra cost of a plane far from every point that it was fitted to, and of infinity
-            far from static texture: a ceiling is not the sky because a window shows some.
-        outside_floor_ceiling_penalty: extra cost of a surface below the floor or above a ceiling.
-        left_right_rows, near_left_right_rows: rows by which both directions may differ, for far and for near things.
     """
 
-    size: tuple[int, int] = (512, 1024)
+    size: tuple[int, int] = (512, 1024)  # ``(height, width)`` of the estimates; matching runs at half of it
+    # radians. On a path halfway between the cameras a surface that passes at a perpendicular distance of h baselines
+    # has a parallax of ``2·atan(1 / 2h)``.
     max_parallax: float = math.radians(112.0)
+    # baselines above the ground. It bounds the disparity below the horizon from below: shading that moves with the
+    # camera otherwise passes for infinitely far ground.
     max_camera_height: float = 10.0
-    colour_weight: float = 0.5
+    colour_weight: float = 0.5  # weight of colour differences against the census, in [0, 1]
+    # the same where much of a picture was clipped at white. (In a white hall one stop more costs 0.8 dB with it and 2.3
+    # dB without.)
     clipped_colour_weight: float = 0.1
-    colour_truncation: float = 0.1
+    colour_truncation: float = 0.1  # colour difference that counts as a contradiction
+    # penalties of semi-global matching for disparity changes by one row and by more
     p1: float = 0.1
     p2: float = 3.0
-    p2_contrast: float = 0.05
-    min_margin: float = 0.2
+    p2_contrast: float = 0.05  # grey difference that halves P2
+    min_margin: float = 0.2  # least margin of the aggregated cost over the best rival for a valid disparity
+    # least margin of the pixel's own cost for a match to propose planes: repeating tiles of a ceiling agree about a
+    # plane that is not there
     min_uniqueness: float = 0.05
-    max_planes: int = 24
-    min_plane_support: float = 0.004
+    max_planes: int = 24  # fitted planes per pair
+    min_plane_support: float = 0.004  # least share of the matched solid angle of both panoramas that a plane explains
+    # as ``p2`` and ``p2_contrast``, between surface labels
     label_penalty: float = 3.0
     label_contrast: float = 0.15
+    # extra cost of the semi-global match against a plane, where it is valid and where it is not
     valid_match_bias: float = 0.15
     invalid_match_bias: float = 0.5
+    # extra cost of a plane far from every point that it was fitted to, and of infinity far from static texture: a
+    # ceiling is not the sky because a window shows some
     unsupported_plane_penalty: float = 0.2
-    outside_floor_ceiling_penalty: float = 0.3
+    outside_floor_ceiling_penalty: float = 0.3  # extra cost of a surface below the floor or above a ceiling
+    # rows by which both directions may differ, for far and for near things
     left_right_rows: float = 1.0
     near_left_right_rows: float = 2.0
 

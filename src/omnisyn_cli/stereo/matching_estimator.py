@@ -71,16 +71,11 @@ class MatchingDepthEstimator:
     Estimates have ``options.size`` whatever the size of the images. The sky is 0. Near the two epipoles, where nothing
     can be measured, and where only one view sees, values are extrapolated from the surroundings with a confidence of 0.
     Panoramas from one position have no parallax: everything is then 0 with confidence 0.
-
-    Attributes:
-        options: of matching.
-        threads: at most this many; None = a core each. The result does not depend on it.
-        prior: asks a network what to expect where much is left open; None leaves it out.
     """
 
-    options: MatchingOptions = field(default_factory=MatchingOptions)
-    threads: int | None = None
-    prior: PairPrior | None = None
+    options: MatchingOptions = field(default_factory=MatchingOptions)  # of matching
+    threads: int | None = None  # at most this many; None = a core each. The result does not depend on it.
+    prior: PairPrior | None = None  # asks a network what to expect where much is left open; None leaves it out
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""

@@ -43,37 +43,24 @@ READINGS: Mapping[str, Reading] = MappingProxyType(
 
 
 class Samples(NamedTuple):
-    """What the pictures of a panorama say in some directions.
+    """What the pictures of a panorama say in some directions."""
 
-    Attributes:
-        values: ``(pictures, rows, cols)`` numbers of the network.
-        weight: ``(pictures, rows, cols)`` of each in a mean; 0 outside its picture.
-        stretch: ``(pictures, rows, cols)`` distance per depth: above 1 where depth is counted along the axis of a
-            picture.
-    """
-
-    values: Float[np.ndarray, "pictures rows cols"]
-    weight: Float[np.ndarray, "pictures rows cols"]
+    values: Float[np.ndarray, "pictures rows cols"]  # numbers of the network
+    weight: Float[np.ndarray, "pictures rows cols"]  # of each in a mean; 0 outside its picture
+    # distance per depth: above 1 where depth is counted along the axis of a picture
     stretch: Float[np.ndarray, "pictures rows cols"]
 
 
 @dataclass(frozen=True)
 class MonocularAnswer:
-    """What a network says about one panorama, up to a scale and a shift of each picture.
+    """What a network says about one panorama, up to a scale and a shift of each picture."""
 
-    Attributes:
-        maps: ``(pictures, rows, cols)`` its numbers; one map where it sees the whole panorama.
-        world_from_picture: ``(pictures, 3, 3)`` orientations.
-        readings: names in :data:`READINGS` that the numbers may have.
-        half_extent: half the height and width of perspective pictures on the plane at distance 1; None for panoramas.
-        is_distance: whether depth is counted along the rays; in panoramas it always is.
-    """
-
-    maps: Float32[np.ndarray, "pictures rows cols"]
-    world_from_picture: Float[np.ndarray, "pictures 3 3"]
-    readings: tuple[str, ...] = tuple(READINGS)
+    maps: Float32[np.ndarray, "pictures rows cols"]  # its numbers; one map where it sees the whole panorama
+    world_from_picture: Float[np.ndarray, "pictures 3 3"]  # orientations
+    readings: tuple[str, ...] = tuple(READINGS)  # names in :data:`READINGS` that the numbers may have
+    # half the height and width of perspective pictures on the plane at distance 1; None for panoramas
     half_extent: tuple[float, float] | None = None
-    is_distance: bool = True
+    is_distance: bool = True  # whether depth is counted along the rays; in panoramas it always is
 
     def at(self, directions: Float[np.ndarray, "rows cols 3"]) -> Samples:
         """What it says in directions of the world, given as unit vectors."""
@@ -117,13 +104,9 @@ class PictureNetwork(Protocol):
 
 @dataclass(frozen=True)
 class MonocularModel:
-    """Asks a network about panoramas.
+    """Asks a network about panoramas."""
 
-    Attributes:
-        network: which.
-    """
-
-    network: PictureNetwork
+    network: PictureNetwork  # which
 
     def __call__(self, view: View) -> MonocularAnswer:
         """What it says about a panorama, which it sees upright."""

@@ -64,23 +64,16 @@ CORRECTED_ERRORS = 3.0
 
 
 class Alignment(NamedTuple):
-    """How an answer becomes inverse depth in 1/baselines.
+    """How an answer becomes inverse depth in 1/baselines."""
 
-    Attributes:
-        reading: of its numbers.
-        scale, shift: ``(pictures,)`` of each picture.
-        cost: mean error of the logarithm of inverse depth at the matches; errors above :data:`MAX_LOG_ERROR` count as
-            that.
-        error: median error at the matches that confirm it.
-        confirming_share: of the matches.
-    """
-
-    reading: Reading
+    reading: Reading  # of its numbers
+    # of each picture
     scale: Float[np.ndarray, " pictures"]
     shift: Float[np.ndarray, " pictures"]
+    # mean error of the logarithm of inverse depth at the matches; errors above :data:`MAX_LOG_ERROR` count as that
     cost: float = np.inf
-    error: float = np.inf
-    confirming_share: float = 0.0
+    error: float = np.inf  # median error at the matches that confirm it
+    confirming_share: float = 0.0  # of the matches
 
     def log_inverse_depth(self, samples: Samples) -> Float[np.ndarray, "rows cols"]:
         """The mean of the pictures."""

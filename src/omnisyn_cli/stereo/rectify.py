@@ -28,22 +28,17 @@ HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 
 @dataclass(frozen=True)
 class RectifiedPair:
-    """Two images of one orientation; the second camera lies at the zenith (+y) of the first.
+    """Two images of one orientation; the second camera lies at the zenith (+y) of the first."""
 
-    Attributes:
-        first, second: ``(height, width, 3)`` float32 RGB in [0, 1].
-        first_usable, second_usable: ``(height, width)``; False where a mask forbids it.
-        world_from_frame: ``(3, 3)`` orientation of both.
-        baseline: metres.
-        priors: what is expected of both cameras' depth, each in the frame of its own direction; None for nothing.
-    """
-
+    # float32 RGB in [0, 1]
     first: Float[np.ndarray, "height width 3"]
     second: Float[np.ndarray, "height width 3"]
+    # ``(height, width)``; False where a mask forbids it
     first_usable: Bool[np.ndarray, "height width"]
     second_usable: Bool[np.ndarray, "height width"]
-    world_from_frame: Float[np.ndarray, "3 3"]
-    baseline: float
+    world_from_frame: Float[np.ndarray, "3 3"]  # orientation of both
+    baseline: float  # metres
+    # what is expected of both cameras' depth, each in the frame of its own direction; None for nothing
     priors: tuple[DepthPrior, DepthPrior] | None = None
 
     @property

@@ -69,16 +69,12 @@ class RefinedDepthEstimator:
     exactly. So depth is found at a small size, and measured again at twice the size until there are enough rows.
 
     Panoramas from one position have no parallax: everything is then 0 with confidence 0.
-
-    Attributes:
-        matching: finds the stereo features.
-        completion: the network; None leaves it out for comparison: the filled map is then taken as it is.
-        rows: that depth is looked for at, see :func:`omnisyn_cli.stereo.depth_sizes.refinement_sizes`.
     """
 
-    matching: MatchingDepthEstimator
+    matching: MatchingDepthEstimator  # finds the stereo features
+    # the network; None leaves it out for comparison: the filled map is then taken as it is
     completion: CompletionModel | None
-    rows: int
+    rows: int  # that depth is looked for at, see :func:`omnisyn_cli.stereo.depth_sizes.refinement_sizes`
 
     def __call__(self, first: View, second: View) -> EstimatePair:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""

@@ -55,14 +55,10 @@ INDEX_ONE, INDEX_TWO = np.uint64(1), np.uint64(2)
 
 @dataclass(frozen=True)
 class DisparityRange:
-    """The disparities that are tried at every pixel.
+    """The disparities that are tried at every pixel."""
 
-    Attributes:
-        lowest: rows, >= 0: the first disparity of each pixel.
-        offsets: index of each pixel's first cost in the flat arrays, row after row; last, the length of the arrays.
-    """
-
-    lowest: Int32[np.ndarray, "height width"]
+    lowest: Int32[np.ndarray, "height width"]  # rows, >= 0: the first disparity of each pixel
+    # index of each pixel's first cost in the flat arrays, row after row; last, the length of the arrays
     offsets: Int64[np.ndarray, " pixels+1"]
 
     @staticmethod
@@ -76,24 +72,18 @@ class DisparityRange:
 
 
 class PathInputs(NamedTuple):
-    """What all paths read.
+    """What all paths read."""
 
-    Attributes:
-        cost, lowest, offsets: matching costs, flat, fixed-point; see :class:`DisparityRange`.
-        luminance: weakens P2 at edges.
-        p1, p2: penalties for a change of disparity by one and for any other change, fixed-point.
-        inverse_contrast: 1 / the grey difference that halves P2.
-        longest_range: disparities of the longest range.
-    """
-
+    # matching costs, flat, fixed-point; see :class:`DisparityRange`
     cost: UInt16[np.ndarray, " costs"]
     lowest: Int32[np.ndarray, "height width"]
     offsets: Int64[np.ndarray, " pixels+1"]
-    luminance: Float[np.ndarray, "height width"]
+    luminance: Float[np.ndarray, "height width"]  # weakens P2 at edges
+    # penalties for a change of disparity by one and for any other change, fixed-point
     p1: np.uint16
     p2: np.float32
-    inverse_contrast: np.float32
-    longest_range: int
+    inverse_contrast: np.float32  # 1 / the grey difference that halves P2
+    longest_range: int  # disparities of the longest range
 
 
 def to_fixed_point(cost: Float[np.ndarray, "*costs"]) -> UInt16[np.ndarray, "*costs"]:

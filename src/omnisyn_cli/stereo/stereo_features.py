@@ -35,29 +35,17 @@ class CompletionModel(Protocol):
 
 @dataclass(frozen=True)
 class StereoFeatures:
-    """One panorama of a pair as stereo sees it, in the frame of its own camera; inverse depths in 1/baselines.
+    """One panorama of a pair as stereo sees it, in the frame of its own camera; inverse depths in 1/baselines."""
 
-    Attributes:
-        image: ``(height, width, 3)`` RGB in [0, 1].
-        matched: ``(height, width)`` inverse depth of the best match of every pixel, right or wrong.
-        left_right_consistent: ``(height, width)`` where both directions found the same.
-        sky: ``(height, width)`` infinitely far.
-        filled: ``(height, width)`` valid inverse depth, with planes extrapolated into the rest.
-        usable: ``(height, width)`` False where a mask forbids the image.
-        second_from_first: takes points of this camera's frame to the other one's, in baselines.
-        up: ``(3,)`` the world's up in this camera's frame.
-        expected: what a network expects of the depth; None if none was asked.
-    """
-
-    image: Float32[np.ndarray, "height width 3"]
-    matched: Float[np.ndarray, "height width"]
-    left_right_consistent: Bool[np.ndarray, "height width"]
-    sky: Bool[np.ndarray, "height width"]
-    filled: Float[np.ndarray, "height width"]
-    usable: Bool[np.ndarray, "height width"]
-    second_from_first: Pose
-    up: Float[np.ndarray, " 3"]
-    expected: DepthPrior | None = None
+    image: Float32[np.ndarray, "height width 3"]  # RGB in [0, 1]
+    matched: Float[np.ndarray, "height width"]  # inverse depth of the best match of every pixel, right or wrong
+    left_right_consistent: Bool[np.ndarray, "height width"]  # where both directions found the same
+    sky: Bool[np.ndarray, "height width"]  # infinitely far
+    filled: Float[np.ndarray, "height width"]  # valid inverse depth, with planes extrapolated into the rest
+    usable: Bool[np.ndarray, "height width"]  # False where a mask forbids the image
+    second_from_first: Pose  # takes points of this camera's frame to the other one's, in baselines
+    up: Float[np.ndarray, " 3"]  # the world's up in this camera's frame
+    expected: DepthPrior | None = None  # what a network expects of the depth; None if none was asked
 
     @property
     def valid(self) -> Bool[np.ndarray, "height width"]:

@@ -148,19 +148,15 @@ def _candidate_costs(
 
 
 class PlaneSupport(NamedTuple):
-    """What speaks for planes: matches on them, and for measured planes texture that they explain.
+    """What speaks for planes: matches on them, and for measured planes texture that they explain."""
 
-    Attributes:
-        size: of the image.
-        pixels, directions, inverse_depth, tolerance: of those with a valid match.
-        textured, texture: where there is texture, and how much of it is around each pixel.
-    """
-
-    size: tuple[int, int]
+    size: tuple[int, int]  # of the image
+    # of those with a valid match
     pixels: Int[np.ndarray, " matches"]
     directions: Float[np.ndarray, "matches 3"]
     inverse_depth: Float[np.ndarray, " matches"]
     tolerance: Float[np.ndarray, " matches"]
+    # where there is texture, and how much of it is around each pixel
     textured: Bool[np.ndarray, "height width"]
     texture: Float32[np.ndarray, "height width"]
 

@@ -46,19 +46,13 @@ MISMATCH_WINDOW_PIXELS = 3
 
 @dataclass(frozen=True)
 class PairDepth:
-    """What was found of a panorama by comparing it with one neighbour.
+    """What was found of a panorama by comparing it with one neighbour."""
 
-    Attributes:
-        depth: 1/metre and confidence.
-        image: ``(height, width, 3)`` the panorama at the size of the check, as it was compared.
-        other: ``(height, width, 4)`` the neighbour likewise, in one exposure with it; last, whether it may be used.
-        other_from_this: takes points of the panorama's frame to the neighbour's, metres.
-    """
-
-    depth: DepthEstimate
-    image: Float32[np.ndarray, "height width 3"]
+    depth: DepthEstimate  # 1/metre and confidence
+    image: Float32[np.ndarray, "height width 3"]  # the panorama at the size of the check, as it was compared
+    # the neighbour likewise, in one exposure with it; last, whether it may be used
     other: Float32[np.ndarray, "height width 4"]
-    other_from_this: Pose
+    other_from_this: Pose  # takes points of the panorama's frame to the neighbour's, metres
 
     def parallax_weight(self, size: tuple[int, int]) -> Float[np.ndarray, "height width"]:
         """What a mean is weighted by: the square of the parallax in radians that 1/metre makes, for far things."""

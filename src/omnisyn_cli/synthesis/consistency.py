@@ -44,16 +44,11 @@ MIN_PHOTO_WEIGHT = np.float32(0.01)
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """The result of comparing both views of a pair.
+    """The result of comparing both views of a pair."""
 
-    Attributes:
-        curve: how much brighter the second picture is than the first.
-        confidence: the expected quality of frames between them.
-        crossed: the photograph and the other view's surface at each panorama, small, at one exposure.
-    """
-
-    curve: ExposureCurve
-    confidence: PairConfidence
+    curve: ExposureCurve  # how much brighter the second picture is than the first
+    confidence: PairConfidence  # the expected quality of frames between them
+    # the photograph and the other view's surface at each panorama, small, at one exposure
     crossed: tuple[tuple[Layer, Layer], tuple[Layer, Layer]]
 
 

@@ -30,21 +30,16 @@ MAX_REUSE_T_STEP = 1.0 / 512.0
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture of the video.
+    """One picture of the video."""
 
-    Attributes:
-        image: ``(height, width, 3)`` RGB, >= 0, a buffer that the next frame overwrites; or samples of 8 bits.
-        waypoint: where it was taken.
-        panorama: index of the panorama that is shown unchanged, if it is shown unchanged and unturned, else None.
-        confidence: ``(height, width)`` in [0, 1], if asked for; 1 everywhere in a photograph.
-        is_shown_again: whether it is the frame before, in which nothing would be seen aside of where it was.
-    """
-
+    # RGB, >= 0, a buffer that the next frame overwrites; or samples of 8 bits
     image: Float32[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]
-    waypoint: Waypoint
+    waypoint: Waypoint  # where it was taken
+    # index of the panorama that is shown unchanged, if it is shown unchanged and unturned, else None
     panorama: int | None
+    # in [0, 1], if asked for; 1 everywhere in a photograph
     confidence: Float32[np.ndarray, "height width"] | None = None
-    is_shown_again: bool = False
+    is_shown_again: bool = False  # whether it is the frame before, in which nothing would be seen aside of where it was
 
 
 @dataclass(frozen=True)

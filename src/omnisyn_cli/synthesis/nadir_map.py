@@ -32,22 +32,15 @@ Mask = Bool[np.ndarray, "rows cols"]
 
 @dataclass(frozen=True)
 class NadirMap:
-    """A panorama around its nadir.
+    """A panorama around its nadir."""
 
-    Attributes:
-        image, grey: ``(MAP_SIZE, MAP_SIZE, 3)`` RGB, and its mean over the channels.
-        usable: where it may be used.
-        directions: of its pixels, in the frame of the camera.
-        turn: rotation about the vertical that takes the map's frame to that of the camera.
-        variance: of the colours in windows, summed over channels.
-    """
-
+    # RGB, and its mean over the channels
     image: Float32[np.ndarray, "rows cols 3"]
-    usable: Mask
-    directions: Float[np.ndarray, "rows cols 3"]
-    turn: Float[np.ndarray, "3 3"]
+    usable: Mask  # where it may be used
+    directions: Float[np.ndarray, "rows cols 3"]  # of its pixels, in the frame of the camera
+    turn: Float[np.ndarray, "3 3"]  # rotation about the vertical that takes the map's frame to that of the camera
     grey: Float32[np.ndarray, "rows cols"]
-    variance: Float32[np.ndarray, "rows cols"]
+    variance: Float32[np.ndarray, "rows cols"]  # of the colours in windows, summed over channels
 
     @staticmethod
     def of(view: View, turn: Float[np.ndarray, "3 3"]) -> NadirMap:

@@ -25,52 +25,35 @@ from omnisyn_cli.types import DepthEstimate, View
 
 @dataclass(frozen=True)
 class SynthesisOptions:
-    """How frames are made.
+    """How frames are made."""
 
-    Attributes:
-        size: height and width of the frames.
-        renderer: draws the surfaces.
-        cut: where meshes are cut.
-        threads: at most this many; None is one per core.
-        cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
-        soften: give pairs under a ceiling that score low a smooth surface where the photographs do not confirm depth.
-        confidence: give every frame a map of its confidence.
-        adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a
-            pixel aside.
-    """
-
-    size: tuple[int, int]
-    renderer: RendererClass = MeshRenderer
-    cut: Cut = field(default_factory=Cut)
-    threads: int | None = None
-    cross_fade: bool = False
+    size: tuple[int, int]  # height and width of the frames
+    renderer: RendererClass = MeshRenderer  # draws the surfaces
+    cut: Cut = field(default_factory=Cut)  # where meshes are cut
+    threads: int | None = None  # at most this many; None is one per core
+    cross_fade: bool = False  # show the photographs, cross-faded, in the doubtful regions of pairs that score low
+    # give pairs under a ceiling that score low a smooth surface where the photographs do not confirm depth
     soften: bool = False
-    confidence: bool = False
+    confidence: bool = False  # give every frame a map of its confidence
+    # draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a pixel aside
     adaptive: bool = False
 
 
 @dataclass(frozen=True)
 class PreparedPair:
-    """Two neighbouring views with their depth, ready to be rendered.
+    """Two neighbouring views with their depth, ready to be rendered."""
 
-    Attributes:
-        index: of the first view.
-        poses, depths, renderers: of both views.
-        cross_check: how differently they are exposed, and how far what is made of them can be relied on.
-        cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
-        masked_fade: fades what is masked at the ends; None where nothing masked is shown.
-        triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
-        is_soft: whether surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
-    """
-
-    index: int
+    index: int  # of the first view
+    # of both views
     poses: tuple[Pose, Pose]
     depths: tuple[DepthEstimate, DepthEstimate]
     renderers: tuple[Renderer, Renderer]
-    cross_check: CrossCheck
-    cross_fade: CrossFade | None = None
-    masked_fade: MaskedFade | None = None
+    cross_check: CrossCheck  # how differently they are exposed, and how far what is made of them can be relied on
+    cross_fade: CrossFade | None = None  # what doubtful regions are filled with; None where nothing is to be replaced
+    masked_fade: MaskedFade | None = None  # fades what is masked at the ends; None where nothing masked is shown
+    # how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none
     triangles: tuple[int, int] | None = None
+    # whether surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`)
     is_soft: bool = False
 
 

@@ -24,17 +24,11 @@ HEADINGS: tuple[Heading, ...] = ("panoramas", "first", "fixed", "travel")
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Where one frame is taken.
+    """Where one frame is taken."""
 
-    Attributes:
-        segment: index of the pair (panorama ``segment`` and the next).
-        t: share of the way from the first panorama of the pair to the second, in [0, 1].
-        pose: world-from-camera of the frame.
-    """
-
-    segment: int
-    t: float
-    pose: Pose
+    segment: int  # index of the pair (panorama ``segment`` and the next)
+    t: float  # share of the way from the first panorama of the pair to the second, in [0, 1]
+    pose: Pose  # world-from-camera of the frame
 
 
 def path_length(poses: Sequence[Pose]) -> float:

@@ -21,25 +21,16 @@ class NoScaleError(PoseError):
 
 @dataclass(frozen=True)
 class SceneFrame:
-    """One panorama of a scene; its files are not read yet.
+    """One panorama of a scene; its files are not read yet."""
 
-    Attributes:
-        name: what the data set calls it.
-        image: its picture.
-        pose: camera-to-world in the axes of :mod:`omnisyn_cli.geometry.sphere`, metres.
-        depth: its depth file, or None.
-        mask: its mask, or None.
-        read_depth: takes the depth file to inverse Euclidean distances in 1/metre, 0 where there is nothing.
-        has_holes: no depth means that a scan has a hole there, not that it is infinitely far to anything.
-    """
-
-    name: str
-    image: Path
-    pose: Pose
-    depth: Path | None = None
-    mask: Path | None = None
+    name: str  # what the data set calls it
+    image: Path  # its picture
+    pose: Pose  # camera-to-world in the axes of :mod:`omnisyn_cli.geometry.sphere`, metres
+    depth: Path | None = None  # its depth file, or None
+    mask: Path | None = None  # its mask, or None
+    # takes the depth file to inverse Euclidean distances in 1/metre, 0 where there is nothing
     read_depth: Callable[[Path], Float[np.ndarray, "height width"]] = read_inverse_depth
-    has_holes: bool = False
+    has_holes: bool = False  # no depth means that a scan has a hole there, not that it is infinitely far to anything
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -57,14 +48,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Where a scene can be had from.
+    """Where a scene can be had from."""
 
-    Attributes:
-        name: of the scene, unique in its data set.
-        frames: reads the poses; raises an :class:`~omnisyn_cli.errors.InputError` where they are damaged.
-    """
-
-    name: str
+    name: str  # of the scene, unique in its data set
+    # reads the poses; raises an :class:`~omnisyn_cli.errors.InputError` where they are damaged
     frames: Callable[[], Iterable[SceneFrame]]
 
     def read(self) -> Scene:
@@ -81,19 +68,14 @@ def scene_folders(folder: Path, pattern: str) -> list[tuple[str, Path]]:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two frames of a scene and what lies strictly between them, in walking order.
+    """Two frames of a scene and what lies strictly between them, in walking order."""
 
-    Attributes:
-        scene: its name.
-        first, second: the inputs.
-        between: the truth.
-        before, after: inputs of the pairs that end and begin where this one begins and ends, if it is part of a tour.
-    """
-
-    scene: str
+    scene: str  # its name
+    # the inputs
     first: SceneFrame
     second: SceneFrame
-    between: tuple[SceneFrame, ...]
+    between: tuple[SceneFrame, ...]  # the truth
+    # inputs of the pairs that end and begin where this one begins and ends, if it is part of a tour
     before: SceneFrame | None = None
     after: SceneFrame | None = None
 

@@ -48,25 +48,16 @@ HOLE_ERROR = 0.05
 
 @dataclass(frozen=True)
 class PairConfidence:
-    """How reliable the frames between two panoramas are.
+    """How reliable the frames between two panoramas are."""
 
-    Attributes:
-        score: in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more, after ``doubling`` has been deducted.
-        expected: dB, from the mean error of the photographs against each other and of both layers half way.
-        unseen: share of the sphere that neither layer shows half way.
-        depth_disagreement: share where both show something, at different distances.
-        inconsistency: share where both show something at one distance, in different colours.
-        doubling: share of what has contrast half way, by area, at which the layers show other structures.
-        weakest: the direction, half way and in the frame of the camera there, around which both layers fit worst.
-    """
-
-    score: float
-    expected: float
-    unseen: float
-    depth_disagreement: float
-    inconsistency: float
+    score: float  # in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more, after ``doubling`` has been deducted
+    expected: float  # dB, from the mean error of the photographs against each other and of both layers half way
+    unseen: float  # share of the sphere that neither layer shows half way
+    depth_disagreement: float  # share where both show something, at different distances
+    inconsistency: float  # share where both show something at one distance, in different colours
+    # the direction, half way and in the frame of the camera there, around which both layers fit worst
     weakest: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    doubling: float = 0.0
+    doubling: float = 0.0  # share of what has contrast half way, by area, at which the layers show other structures
 
     def describe(self) -> dict[str, float]:
         """The values, rounded, for people and for JSON."""
@@ -81,19 +72,12 @@ class PairConfidence:
 
 
 class WindowComparison(NamedTuple):
-    """Two layers compared in windows of some 8 degrees, ``(height, width)`` each.
+    """Two layers compared in windows of some 8 degrees, ``(height, width)`` each."""
 
-    Attributes:
-        likeness: of their structure, in [-1, 1]: covariance over the mean of both variances.
-        contrast: standard deviation of grey values, of the layer that has more.
-        difference: of the mean grey values.
-        seen: share of the window that both layers show.
-    """
-
-    likeness: np.ndarray
-    contrast: np.ndarray
-    difference: np.ndarray
-    seen: np.ndarray
+    likeness: np.ndarray  # of their structure, in [-1, 1]: covariance over the mean of both variances
+    contrast: np.ndarray  # standard deviation of grey values, of the layer that has more
+    difference: np.ndarray  # of the mean grey values
+    seen: np.ndarray  # share of the window that both layers show
 
 
 def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:

@@ -83,12 +83,9 @@ EXPOSURE_TABLE_ENTRIES = 1024
 
 @dataclass(frozen=True)
 class ExposureCurve:
-    """The gain from a first picture to a second one.
+    """The gain from a first picture to a second one."""
 
-    Attributes:
-        gain: ``(3, knots)`` stops by channel, at the levels :data:`KNOTS`; positive where the second is brighter.
-    """
-
+    # stops by channel, at the levels :data:`KNOTS`; positive where the second is brighter
     gain: Float[np.ndarray, "3 knots"]
 
     @property

@@ -27,15 +27,11 @@ def _make_exposure_change(table: np.ndarray, loss: np.float32) -> Callable[[np.n
 
 @dataclass(frozen=True)
 class ExposureMatcher:
-    """Gives the layers of a pair one exposure; costs nothing where both were exposed alike.
+    """Gives the layers of a pair one exposure; costs nothing where both were exposed alike."""
 
-    Attributes:
-        curve: gain from the first view to the second.
-        change: given a table, see :meth:`ExposureCurve.table`, and the share of its weight that a white pixel loses,
-            returns what exposes colours in place; by default numpy arrays.
-    """
-
-    curve: ExposureCurve
+    curve: ExposureCurve  # gain from the first view to the second
+    # given a table, see :meth:`ExposureCurve.table`, and the share of its weight that a white pixel loses, returns what
+    # exposes colours in place; by default numpy arrays
     change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _make_exposure_change
 
     def __call__(self, first: Layer, second: Layer, t: float) -> tuple[Layer, Layer]:

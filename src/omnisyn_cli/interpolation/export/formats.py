@@ -63,23 +63,15 @@ FORMATS: Mapping[str, Format] = {
 
 @dataclass(frozen=True)
 class ExportJob(TourJob):
-    """What a user asks for of an export.
+    """What a user asks for of an export."""
 
-    Attributes:
-        format: one of :data:`FORMATS`; None goes by the ending of the output.
-        texture: columns of the largest texture of a GLB and of panoramas of a site; larger panoramas are reduced.
-        stride: pixels of the depth between points; None is the format's.
-        sky: whether what is infinitely far is shown, on the dome; None is the format's.
-        dome: metres around each panorama beyond which everything lies on one sphere.
-        clips: make videos of the ways between the panoramas of a site.
-    """
-
-    format: str | None = None
+    format: str | None = None  # one of :data:`FORMATS`; None goes by the ending of the output
+    # columns of the largest texture of a GLB and of panoramas of a site; larger panoramas are reduced
     texture: Annotated[int, Ge(16)] = 4096
-    stride: Annotated[int, Ge(1)] | None = None
-    sky: bool | None = None
-    dome: Annotated[float, Gt(0)] = 200.0
-    clips: bool = False
+    stride: Annotated[int, Ge(1)] | None = None  # pixels of the depth between points; None is the format's
+    sky: bool | None = None  # whether what is infinitely far is shown, on the dome; None is the format's
+    dome: Annotated[float, Gt(0)] = 200.0  # metres around each panorama beyond which everything lies on one sphere
+    clips: bool = False  # make videos of the ways between the panoramas of a site
 
     @property
     def follows_links(self) -> bool:

@@ -50,31 +50,21 @@ class Setting:
 
 @dataclass(frozen=True)
 class Figures:
-    """What was measured of a setting, or the ``reason`` why that failed.
-
-    Attributes:
-        config: what the method stands for.
-        key: digest of what the figures depend on.
-        source: height and width of the panoramas.
-        seconds: of computing by stage: ``start`` once; those of :data:`FRAME_STAGES` for each frame; others for each
-            pair.
-        probe: seconds of :func:`omnisyn_cli.interpolation.planning.duration.probe` on that machine.
-        memory: bytes at most, without the encoder; None where nobody knows.
-        scores: WS-PSNR in dB by the name of the pair, the mean of its true frames.
-        pairs: panoramas between which clips were made.
-    """
+    """What was measured of a setting, or the ``reason`` why that failed."""
 
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
-    config: RunConfig = field(default_factory=RunConfig)
-    key: str = ""
-    source: tuple[int, int] = (0, 0)
+    config: RunConfig = field(default_factory=RunConfig)  # what the method stands for
+    key: str = ""  # digest of what the figures depend on
+    source: tuple[int, int] = (0, 0)  # height and width of the panoramas
+    # of computing by stage: ``start`` once; those of :data:`FRAME_STAGES` for each frame; others for each pair
     seconds: Mapping[str, float] = field(default_factory=dict)
-    probe: float = 0.0
-    memory: int | None = None
+    probe: float = 0.0  # seconds of :func:`omnisyn_cli.interpolation.planning.duration.probe` on that machine
+    memory: int | None = None  # bytes at most, without the encoder; None where nobody knows
+    # WS-PSNR in dB by the name of the pair, the mean of its true frames
     scores: Mapping[str, float] = field(default_factory=dict)
-    pairs: int = 0
+    pairs: int = 0  # panoramas between which clips were made
 
     @property
     def ws_psnr(self) -> float | None:

@@ -44,20 +44,15 @@ class Footprint:
 
 @dataclass(frozen=True)
 class MemoryEstimate:
-    """What memory is estimated from: the most of what is held at a peak. ImageError: a panorama is unreadable.
-
-    Attributes:
-        sources: height and width of the panoramas.
-        depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
-            to their size by :mod:`omnisyn_cli.stereo.refined_estimator`.
-        looks_ahead: whether the next pair is compared as well.
-    """
+    """What memory is estimated from: the most of what is held at a peak. ImageError: a panorama is unreadable."""
 
     job: TourJob
     config: RunConfig
-    sources: Sequence[tuple[int, int]]
+    sources: Sequence[tuple[int, int]]  # height and width of the panoramas
+    # those of the surfaces, the first one that of a network's answers; refined ones with more than one come to their
+    # size by :mod:`omnisyn_cli.stereo.refined_estimator`
     depths: Sequence[tuple[int, int]]
-    looks_ahead: bool
+    looks_ahead: bool  # whether the next pair is compared as well
 
     @cached_property
     def is_8_bit(self) -> bool:

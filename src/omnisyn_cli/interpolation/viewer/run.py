@@ -40,19 +40,12 @@ SCREEN_PIXELS, BASE64_RATIO = 1920 * 1080, 4 / 3
 
 @dataclass(frozen=True)
 class ViewJob(TourJob):
-    """What a user asks for of a viewer.
+    """What a user asks for of a viewer."""
 
-    Attributes:
-        texture: columns that photographs have at most.
-        is_lossless: whether photographs are kept as PNG, several times as large, instead of JPEG.
-        is_folder: whether it becomes a folder for a server instead of one file.
-        fallback: as of every job; by default surfaces of such pairs are soft.
-    """
-
-    texture: int = 4096
-    is_lossless: bool = False
-    is_folder: bool = False
-    fallback: str = "soft"
+    texture: int = 4096  # columns that photographs have at most
+    is_lossless: bool = False  # whether photographs are kept as PNG, several times as large, instead of JPEG
+    is_folder: bool = False  # whether it becomes a folder for a server instead of one file
+    fallback: str = "soft"  # as of every job; by default surfaces of such pairs are soft
 
     follows_links = True
 

@@ -54,25 +54,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Format:
-    """One kind of poses, and how it is recognised.
+    """One kind of poses, and how it is recognised."""
 
-    Attributes:
-        read: makes our poses of a source, or of all of them where ``is_of_many``.
-        mark: the file by which a folder is known.
-        key: at the top of its JSON.
-        columns: of the first line of its text.
-        is_on_earth: it may know where on earth it is.
-        is_level: its axes are fixed by the format.
-        is_of_many: there may be several sources.
-    """
-
+    # makes our poses of a source, or of all of them where ``is_of_many``
     read: Callable[[Any, ImportOptions], ImportedPoses]
-    mark: str | None = None
-    key: str | None = None
-    columns: int | None = None
-    is_on_earth: bool = False
-    is_level: bool = False
-    is_of_many: bool = False
+    mark: str | None = None  # the file by which a folder is known
+    key: str | None = None  # at the top of its JSON
+    columns: int | None = None  # of the first line of its text
+    is_on_earth: bool = False  # it may know where on earth it is
+    is_level: bool = False  # its axes are fixed by the format
+    is_of_many: bool = False  # there may be several sources
 
 
 FORMATS: Mapping[str, Format] = {

@@ -75,21 +75,14 @@ class Frame:
 
 @dataclass(frozen=True)
 class Model:
-    """A model, everything by its number.
+    """A model, everything by its number."""
 
-    Attributes:
-        path: the file with the images.
-        models: names of the models of the cameras; none without a file of cameras.
-        images: in the order of the file.
-        rigs: camera-from-rig of each camera that has one; that of the reference is the identity.
-        frames: none in models of COLMAP before 3.12, like rigs.
-    """
-
-    path: Path
-    models: Mapping[int, str]
-    images: Mapping[int, Image]
+    path: Path  # the file with the images
+    models: Mapping[int, str]  # names of the models of the cameras; none without a file of cameras
+    images: Mapping[int, Image]  # in the order of the file
+    # camera-from-rig of each camera that has one; that of the reference is the identity
     rigs: Mapping[int, Mapping[int, Pose]] = field(default_factory=dict)
-    frames: Mapping[int, Frame] = field(default_factory=dict)
+    frames: Mapping[int, Frame] = field(default_factory=dict)  # none in models of COLMAP before 3.12, like rigs
 
     def is_panorama(self, image: Image) -> bool:
         """Whether an image is a panorama; all are where no file tells the cameras."""

@@ -37,22 +37,15 @@ PLACE_LIMITS = {"latitude": 90.0, "longitude": 180.0, "heading": 360.0, "pitch":
 
 @dataclass(frozen=True)
 class Place:
-    """Where a panorama was taken and how it was held.
+    """Where a panorama was taken and how it was held."""
 
-    Attributes:
-        latitude, longitude: WGS84, degrees.
-        heading: of the image centre, degrees clockwise from true north, or None where it is not known.
-        pitch: of the image centre above the horizon, degrees.
-        roll: of the camera, clockwise about its line of sight, degrees: the horizon turns counter-clockwise.
-        altitude: metres, or None where it is not known.
-    """
-
+    # WGS84, degrees
     latitude: float
     longitude: float
-    heading: float | None
-    pitch: float = 0.0
-    roll: float = 0.0
-    altitude: float | None = None
+    heading: float | None  # of the image centre, degrees clockwise from true north, or None where it is not known
+    pitch: float = 0.0  # of the image centre above the horizon, degrees
+    roll: float = 0.0  # of the camera, clockwise about its line of sight, degrees: the horizon turns counter-clockwise
+    altitude: float | None = None  # metres, or None where it is not known
 
     def check(self, where: str, remedy: str) -> None:
         """Refuse (PoseError from ``where`` to ``remedy``) numbers that are too large for what they mean."""

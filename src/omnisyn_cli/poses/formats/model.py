@@ -39,28 +39,19 @@ Origin = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What a user may say about a source.
+    """What a user may say about a source."""
 
-    Attributes:
-        images: folder with the panoramas; None looks where the format usually has them.
-        origin: where the world's origin lies; None leaves it where the format has it, or at the first panorama.
-        up: a name of :data:`WORLD_UP` or ``cameras``; None is the format's own.
-        camera: a name of :data:`CAMERA_AXES`; None is the format's own.
-        roll: which way the horizon turns in the picture as the roll of a place grows, ``counter-clockwise`` as GPano
-            defines it, or ``clockwise`` as some programs have it; None is the format's own.
-        floor: the floor of a ZInD tour; None is the only one.
-        time_tolerance: seconds by which time stamps of poses and images may differ.
-        allow_outside: whether files that a source names may lie outside its folder.
-    """
-
-    images: Path | None = None
+    images: Path | None = None  # folder with the panoramas; None looks where the format usually has them
+    # where the world's origin lies; None leaves it where the format has it, or at the first panorama
     origin: Origin | None = None
-    up: str | None = None
-    camera: str | None = None
+    up: str | None = None  # a name of :data:`WORLD_UP` or ``cameras``; None is the format's own
+    camera: str | None = None  # a name of :data:`CAMERA_AXES`; None is the format's own
+    # which way the horizon turns in the picture as the roll of a place grows, ``counter-clockwise`` as GPano defines
+    # it, or ``clockwise`` as some programs have it; None is the format's own
     roll: str | None = None
-    floor: str | None = None
-    time_tolerance: float = 0.02
-    allow_outside: bool = False
+    floor: str | None = None  # the floor of a ZInD tour; None is the only one
+    time_tolerance: float = 0.02  # seconds by which time stamps of poses and images may differ
+    allow_outside: bool = False  # whether files that a source names may lie outside its folder
 
     def pose(self, foreign: Pose, *, camera: str, up: str) -> Pose:
         """Our pose of a camera-to-world one in the axes ``camera`` and ``up``, or in those that the user names."""
@@ -70,32 +61,20 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class ImportedView:
-    """One panorama.
+    """One panorama."""
 
-    Attributes:
-        name: as the source calls it, a path with forward slashes.
-        pose: camera-to-world in our axes.
-        image: the file, or None where it was not found.
-        depth: a depth file that ``poses.json`` can refer to, or None.
-    """
-
-    name: str
-    pose: Pose
-    image: Path | None = None
-    depth: Path | None = None
+    name: str  # as the source calls it, a path with forward slashes
+    pose: Pose  # camera-to-world in our axes
+    image: Path | None = None  # the file, or None where it was not found
+    depth: Path | None = None  # a depth file that ``poses.json`` can refer to, or None
 
 
 @dataclass(frozen=True)
 class ImportedPoses:
-    """What a source says.
+    """What a source says."""
 
-    Attributes:
-        views: in the order of the source, or of the file names where it has none.
-        notes: one line for everything that was assumed, in words for the user.
-    """
-
-    views: tuple[ImportedView, ...]
-    notes: tuple[str, ...]
+    views: tuple[ImportedView, ...]  # in the order of the source, or of the file names where it has none
+    notes: tuple[str, ...]  # one line for everything that was assumed, in words for the user
 
 
 def noted(notes: Mapping[str, object]) -> tuple[str, ...]:

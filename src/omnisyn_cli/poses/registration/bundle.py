@@ -33,14 +33,10 @@ FIRST_SPREAD, LAST_SPREAD, SPREAD_SHRINKAGE = 8.0, 1.0, 0.7
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Adjusted poses.
+    """Adjusted poses."""
 
-    Attributes:
-        poses: by the number of the panorama.
-        covariance: ``(6n, 6n)`` of the rotation vector in the world and the position of each panorama in turn.
-    """
-
-    poses: dict[int, Pose]
+    poses: dict[int, Pose]  # by the number of the panorama
+    # of the rotation vector in the world and the position of each panorama in turn
     covariance: Float[np.ndarray, "m m"]
 
     def relative_std(self, first: int, second: int) -> tuple[float, float]:

@@ -39,25 +39,18 @@ class State:
 
 @dataclass(frozen=True)
 class Observations:
-    """Matches, each of them from its anchor and from another panorama; sorted by anchor, and so are points.
+    """Matches, each of them from its anchor and from another panorama; sorted by anchor, and so are points."""
 
-    Attributes:
-        anchor, other: ``(m,)`` numbers of the panoramas.
-        ray, seen: ``(m, 3)`` its directions there, in the camera's frame.
-        point: ``(m,)`` number of the point.
-        parallax: ``(m,)`` 0 where both stand in one place, so that nothing is told of distances; else 1.
-        pixel: ``(m,)`` radians.
-        cluster: ``(m,)`` number of the part of the world that it shows: its matches err together.
-    """
-
+    # ``(m,)`` numbers of the panoramas
     anchor: np.ndarray
     other: np.ndarray
+    # ``(m, 3)`` its directions there, in the camera's frame
     ray: np.ndarray
     seen: np.ndarray
-    point: np.ndarray
-    parallax: np.ndarray
-    pixel: np.ndarray
-    cluster: np.ndarray
+    point: np.ndarray  # ``(m,)`` number of the point
+    parallax: np.ndarray  # ``(m,)`` 0 where both stand in one place, so that nothing is told of distances; else 1
+    pixel: np.ndarray  # ``(m,)`` radians
+    cluster: np.ndarray  # ``(m,)`` number of the part of the world that it shows: its matches err together
 
     @staticmethod
     def of(edges: Sequence[Edge], number: Mapping[int, int]) -> Observations:
@@ -142,24 +135,16 @@ class Lengths:
 
 @dataclass(frozen=True)
 class _Star:
-    """The points of one anchor and who sees them.
+    """The points of one anchor and who sees them."""
 
-    Attributes:
-        matches: which observations.
-        columns: ``(k,)`` of the numbers of the panoramas that see them, six for each.
-        places: ``(m, 12)`` where in these the six numbers of the anchor and of the other panorama of each match are.
-        point: ``(m,)`` number of its point among those of the anchor.
-        by_pose: ``(m, 12)`` products of the derivatives by both panoramas and the residuals.
-        mixed: ``(p, k)`` products of the derivatives by points and by panoramas.
-        own, gradient: ``(p,)`` squares of those by points, and their products with the residuals.
-    """
-
-    matches: slice
-    columns: np.ndarray
+    matches: slice  # which observations
+    columns: np.ndarray  # ``(k,)`` of the numbers of the panoramas that see them, six for each
+    # ``(m, 12)`` where in these the six numbers of the anchor and of the other panorama of each match are
     places: np.ndarray
-    point: np.ndarray
-    by_pose: np.ndarray
-    mixed: np.ndarray
+    point: np.ndarray  # ``(m,)`` number of its point among those of the anchor
+    by_pose: np.ndarray  # ``(m, 12)`` products of the derivatives by both panoramas and the residuals
+    mixed: np.ndarray  # ``(p, k)`` products of the derivatives by points and by panoramas
+    # ``(p,)`` squares of those by points, and their products with the residuals
     own: np.ndarray
     gradient: np.ndarray
 
@@ -187,26 +172,20 @@ class _Star:
 
 @dataclass(frozen=True)
 class Equations:
-    """Least squares of weighted residuals about a state; the first panorama does not move.
+    """Least squares of weighted residuals about a state; the first panorama does not move."""
 
-    Attributes:
-        matches, lengths: whose residuals they are.
-        weight: ``(m,)`` of each match, over the pixel.
-        by_pose, by_point: ``(m, 3, 12)``, ``(m, 3)`` derivatives by the anchor and the other one, and by the point.
-        by_length: ``(k, 6n)`` those of the lengths.
-        residual, of_length: ``(m, 3)``, ``(k,)``.
-        stars: of all anchors.
-    """
-
+    # whose residuals they are
     matches: Observations
     lengths: Lengths
-    weight: np.ndarray
+    weight: np.ndarray  # ``(m,)`` of each match, over the pixel
+    # ``(m, 3, 12)``, ``(m, 3)`` derivatives by the anchor and the other one, and by the point
     by_pose: np.ndarray
     by_point: np.ndarray
-    by_length: np.ndarray
+    by_length: np.ndarray  # ``(k, 6n)`` those of the lengths
+    # ``(m, 3)``, ``(k,)``
     residual: np.ndarray
     of_length: np.ndarray
-    stars: tuple[_Star, ...]
+    stars: tuple[_Star, ...]  # of all anchors
 
     @staticmethod
     def of(matches: Observations, lengths: Lengths, state: State, spread: float) -> Equations:

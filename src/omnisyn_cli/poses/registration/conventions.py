@@ -48,23 +48,14 @@ Correction = Callable[[Pose, Pose], tuple[Pose, Pose]]
 
 @dataclass(frozen=True)
 class ConventionHypothesis:
-    """A way of writing poses down wrongly.
+    """A way of writing poses down wrongly."""
 
-    Attributes:
-        name: short and fixed, for programs.
-        stage: at which it is undone.
-        words: what was done, for people; goes on from "it looks as if".
-        remedy: what to do about it.
-        correct: undoes it.
-        is_common: listed where several hypotheses explain the same; the others only where nothing else does.
-    """
-
-    name: str
-    stage: int
-    words: str
-    remedy: str
-    correct: Correction
-    is_common: bool = True
+    name: str  # short and fixed, for programs
+    stage: int  # at which it is undone
+    words: str  # what was done, for people; goes on from "it looks as if"
+    remedy: str  # what to do about it
+    correct: Correction  # undoes it
+    is_common: bool = True  # listed where several hypotheses explain the same; the others only where nothing else does
 
 
 def single_hypotheses() -> tuple[ConventionHypothesis, ...]:

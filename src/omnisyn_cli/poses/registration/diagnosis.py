@@ -104,23 +104,14 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is known about the poses of a pair.
+    """What is known about the poses of a pair."""
 
-    Attributes:
-        verdict: in a word.
-        matches: number of matches.
-        estimate: what the pictures say; None if too little.
-        given: how well the poses fit as they are; None if unknown.
-        explanations: hypotheses that explain it equally well, the most common one first.
-        is_refinable: refining would make the poses fit significantly better.
-    """
-
-    verdict: Verdict
-    matches: int
-    estimate: Estimate | None
-    given: Fit | None
-    explanations: tuple[Explanation, ...]
-    is_refinable: bool
+    verdict: Verdict  # in a word
+    matches: int  # number of matches
+    estimate: Estimate | None  # what the pictures say; None if too little
+    given: Fit | None  # how well the poses fit as they are; None if unknown
+    explanations: tuple[Explanation, ...]  # hypotheses that explain it equally well, the most common one first
+    is_refinable: bool  # refining would make the poses fit significantly better
 
 
 def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:

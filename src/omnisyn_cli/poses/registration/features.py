@@ -73,17 +73,11 @@ FLOOR_PIXELS, FLOOR_TANGENT = 600, math.tan(math.radians(68.0))
 
 @dataclass(frozen=True)
 class Features:
-    """Distinctive points of one panorama.
+    """Distinctive points of one panorama."""
 
-    Attributes:
-        direction: ``(n, 3)`` unit vectors in the camera's frame.
-        descriptor: ``(n, 128)`` float32, whole numbers.
-        pixel: radians that one pixel of the searched image covers.
-    """
-
-    direction: Float[np.ndarray, "n 3"]
-    descriptor: Float[np.ndarray, "n 128"]
-    pixel: float
+    direction: Float[np.ndarray, "n 3"]  # unit vectors in the camera's frame
+    descriptor: Float[np.ndarray, "n 128"]  # float32, whole numbers
+    pixel: float  # radians that one pixel of the searched image covers
 
     def strongest(self, count: int) -> Features:
         """The first ones; they are sorted by their response."""
@@ -92,16 +86,12 @@ class Features:
 
 @dataclass(frozen=True)
 class Matches:
-    """What is seen by both panoramas of a pair; some of it is wrong.
+    """What is seen by both panoramas of a pair; some of it is wrong."""
 
-    Attributes:
-        first, second: ``(n, 3)`` unit vectors, each in its own camera's frame.
-        pixel: radians of the larger one of the two images' pixels.
-    """
-
+    # unit vectors, each in its own camera's frame
     first: Float[np.ndarray, "n 3"]
     second: Float[np.ndarray, "n 3"]
-    pixel: float
+    pixel: float  # radians of the larger one of the two images' pixels
 
     def __len__(self) -> int:
         return len(self.first)
@@ -239,17 +229,11 @@ def _root_sift(descriptor: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LevelledFeatures:
-    """Features of one panorama, in the camera's frame.
+    """Features of one panorama, in the camera's frame."""
 
-    Attributes:
-        walls: of the levelled panorama.
-        squeezed_walls: of the same at half its width.
-        floor: of the bird's-eye view.
-    """
-
-    walls: Features
-    squeezed_walls: Features
-    floor: Features
+    walls: Features  # of the levelled panorama
+    squeezed_walls: Features  # of the same at half its width
+    floor: Features  # of the bird's-eye view
 
 
 def fine_grey_of(image: Float[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "rows cols"]:

@@ -63,17 +63,11 @@ Lines = Float[np.ndarray, "n 3"]
 
 @dataclass(frozen=True)
 class Vertical:
-    """The zenith as lines tell it.
+    """The zenith as lines tell it."""
 
-    Attributes:
-        up: unit vector in the frame of the lines.
-        std: its standard deviation, radians.
-        is_certain: enough lines agree, and no other direction has nearly as many.
-    """
-
-    up: Float[np.ndarray, " 3"]
-    std: float
-    is_certain: bool
+    up: Float[np.ndarray, " 3"]  # unit vector in the frame of the lines
+    std: float  # its standard deviation, radians
+    is_certain: bool  # enough lines agree, and no other direction has nearly as many
 
 
 def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray, "rows cols"] | None = None) -> Lines:

@@ -59,20 +59,14 @@ Ratios = Mapping[tuple[int, int, int, int], tuple[float, int]]
 
 @dataclass(frozen=True)
 class Edge:
-    """Two panoramas of a set whose relative pose is known.
+    """Two panoramas of a set whose relative pose is known."""
 
-    Attributes:
-        first, second: their indices.
-        estimate: the relative pose.
-        matches: those that agree with it.
-        others: those that do not, if they are kept.
-    """
-
+    # their indices
     first: int
     second: int
-    estimate: Estimate
-    matches: Matches
-    others: Matches | None = None
+    estimate: Estimate  # the relative pose
+    matches: Matches  # those that agree with it
+    others: Matches | None = None  # those that do not, if they are kept
 
     @property
     def weight(self) -> int:

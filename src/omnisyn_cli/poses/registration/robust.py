@@ -115,35 +115,23 @@ MAX_DIRECTION_STD = 0.2
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the matches say about a pair.
+    """What the matches say about a pair."""
 
-    Attributes:
-        first_from_second: relative pose; its position has length 1, or is zero where ``have_same_position``.
-        inliers: ``(n,)`` the matches that agree with it.
-        residual: their median angle to the epipolar circles, or to the rotated directions if in place; radians.
-        uncertainty: of rotation and direction.
-        have_same_position: the panoramas were taken (nearly) from one place; there is no direction.
-    """
-
-    first_from_second: Pose
-    inliers: Bool[np.ndarray, " n"]
-    residual: float
-    uncertainty: Uncertainty
-    have_same_position: bool
+    first_from_second: Pose  # relative pose; its position has length 1, or is zero where ``have_same_position``
+    inliers: Bool[np.ndarray, " n"]  # the matches that agree with it
+    residual: float  # their median angle to the epipolar circles, or to the rotated directions if in place; radians
+    uncertainty: Uncertainty  # of rotation and direction
+    have_same_position: bool  # the panoramas were taken (nearly) from one place; there is no direction
 
 
 @dataclass(frozen=True)
 class Verticals:
-    """The direction of the zenith in each of two cameras.
+    """The direction of the zenith in each of two cameras."""
 
-    Attributes:
-        first, second: unit vectors.
-        are_certain: lines tell them; else the cameras are only tried as upright ones.
-    """
-
+    # unit vectors
     first: Float[np.ndarray, " 3"]
     second: Float[np.ndarray, " 3"]
-    are_certain: bool
+    are_certain: bool  # lines tell them; else the cameras are only tried as upright ones
 
 
 def estimate_relative_pose(

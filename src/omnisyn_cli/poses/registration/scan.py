@@ -70,23 +70,14 @@ POLAR_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Scan:
-    """One panorama as registration sees it.
+    """One panorama as registration sees it."""
 
-    Attributes:
-        fine_grey: luma for :attr:`levelled`.
-        small: the picture in colour at :data:`SMALL_ROWS`.
-        usable: where it may be used; None is everywhere.
-        features: the strongest features.
-        lines: straight lines.
-        threads: at most this many in OpenCV.
-    """
-
-    fine_grey: UInt8[np.ndarray, "height width"]
-    small: Float[np.ndarray, "rows cols 3"]
-    usable: Bool[np.ndarray, "all_rows all_cols"] | None
-    features: Features
-    lines: Lines
-    threads: int | None = None
+    fine_grey: UInt8[np.ndarray, "height width"]  # luma for :attr:`levelled`
+    small: Float[np.ndarray, "rows cols 3"]  # the picture in colour at :data:`SMALL_ROWS`
+    usable: Bool[np.ndarray, "all_rows all_cols"] | None  # where it may be used; None is everywhere
+    features: Features  # the strongest features
+    lines: Lines  # straight lines
+    threads: int | None = None  # at most this many in OpenCV
 
     @property
     def view(self) -> View:

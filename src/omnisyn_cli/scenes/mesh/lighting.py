@@ -29,23 +29,16 @@ LAMPS = (0, 5)
 
 @dataclass(frozen=True)
 class Lighting:
-    """What shines on a scene; units in which a white wall in full light is about 1.
+    """What shines on a scene; units in which a white wall in full light is about 1."""
 
-    Attributes:
-        directions: spread over the sphere, that every point asks.
-        sky: light from each direction where nothing is in the way.
-        bounced: light of walls far away; nearer ones are darker.
-        reach: metres from which on a wall is as bright as ``bounced``.
-        lamps, lamp_light: positions, and their light at a metre.
-        horizon, zenith: colours in [0, 1] of what is seen where nothing is.
-    """
-
-    directions: Float[np.ndarray, "n 3"]
-    sky: Float[np.ndarray, "n 3"]
-    bounced: Float[np.ndarray, " 3"]
-    reach: float
+    directions: Float[np.ndarray, "n 3"]  # spread over the sphere, that every point asks
+    sky: Float[np.ndarray, "n 3"]  # light from each direction where nothing is in the way
+    bounced: Float[np.ndarray, " 3"]  # light of walls far away; nearer ones are darker
+    reach: float  # metres from which on a wall is as bright as ``bounced``
+    # positions, and their light at a metre
     lamps: Float[np.ndarray, "k 3"]
     lamp_light: Float[np.ndarray, "k 3"]
+    # colours in [0, 1] of what is seen where nothing is
     horizon: Float[np.ndarray, " 3"]
     zenith: Float[np.ndarray, " 3"]
 
