@@ -55,7 +55,8 @@ FILE_MODULES = (
     "omnisyn_cli.interpolation.planning",
     "omnisyn_cli.batch",
 )
-"""The only ones that open files: io, machine code, models, answers that are kept, checkpoints and data sets, and the records of a batch."""
+"""The only ones that open files: io, machine code, models, answers of networks, checkpoints and data sets, and the
+records of a batch."""
 
 LIGHT = {
     "atexit", "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools",

@@ -8,12 +8,16 @@ import pytest
 from hall_samples import loaded_hall
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.methods import MethodAtWork, MethodUnavailableError, find_method
+from omnisyn_cli.evaluation.simulated_prior import SimulatedModel
 from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.geometry.resize import resize_area
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime import models
+from omnisyn_cli.stereo.expected_depth import NETWORK_SIZE
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.types import KnownDepth, View
@@ -104,6 +108,30 @@ def test_with_nothing_learned_in_it_the_product_needs_no_network(hall, monkeypat
     assert find_method("omnisyn-balanced:model=none:prior=none:fusion=geometric").config.networks == ()
     with pytest.raises(MethodUnavailableError, match="completion-balanced"):
         images("omnisyn-fast", hall)
+
+
+def test_a_simulated_prior_knows_the_truth_up_to_its_error(hall):
+    """Up to the noise, which has the deviation that was asked for, and only where the truth is known."""
+    views = hall.views
+    answer = SimulatedModel(views, 0.1)(replace(views[0], known_depth=None))
+    directions = pixel_directions(*NETWORK_SIZE)
+    truth = resize_area(views[0].known_depth.inverse_depth, NETWORK_SIZE)
+    error = np.log(answer.at(directions @ views[0].pose.rotation.T).values[0]) - np.log(truth)
+    assert np.std(error[truth > 0]) == pytest.approx(0.1, abs=0.02)
+    with pytest.raises(OmnisynError, match="true depth"):
+        SimulatedModel([replace(view, known_depth=None) for view in views], 0.1)(views[0])
+
+
+@pytest.mark.parametrize(
+    ("parameter", "prior", "kind"),
+    [
+        ("prior=simulated(0.1)", "simulated(0.1)", ""),
+        ("prior=a.onnx:prior-kind=perspective+depth", "a.onnx", "perspective,depth"),
+    ],
+)  # fmt: skip
+def test_a_prior_can_be_chosen(parameter, prior, kind):
+    depth = find_method(f"omnisyn-balanced:{parameter}").config.depth
+    assert (depth.prior, depth.prior_kind) == (prior, kind)
 
 
 def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(hall, monkeypatch):

@@ -23,6 +23,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
-from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.runtime.models import read_manifest, sha256_of
 from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.stereo.monocular_prior import with_monocular_priors
 from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
@@ -93,9 +94,10 @@ class ComparedMethod:
     leaves_out_camera_fixed: bool = False  # whether what moves with the camera is masked
 
     def ingredients(self) -> tuple[str, ...]:
-        """What its results depend on besides its name: settings, and the digests of its networks as installed."""
-        installed, networks = read_manifest(), self.config.networks
-        return (repr(self.config), *(installed[name].sha256 if name in installed else "" for name in networks))
+        """What its results depend on besides its name: settings, and the digests of its networks."""
+        digests = {name: entry.sha256 for name, entry in read_manifest().items()}
+        digests |= {name: sha256_of(Path(name)) for name in self.config.networks if Path(name).is_file()}
+        return (repr(self.config), *(digests.get(name, "") for name in self.config.networks))
 
 
 class MethodAtWork:

@@ -76,7 +76,8 @@ def for_frames(config: RunConfig, job: InterpolationJob, frames: int) -> RunConf
 def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: RunConfig) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
-        return defaults.depth.kind if without or job.model is not None else "file"
+        asks_for_network = job.model is not None or job.depth_prior is not None
+        return defaults.depth.kind if without or asks_for_network else "file"
     if DEPTH_SOURCES[job.depth].reads_files and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
