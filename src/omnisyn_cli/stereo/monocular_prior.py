@@ -184,7 +184,7 @@ def _joined(reading: Reading, samples: Samples) -> Alignment:
     A scale and a shift of all pictures together stay open.
     """
     pictures = np.eye(len(samples.values))
-    typical = float(np.median(np.abs(samples.values[samples.weight > 0]))) if reading.power else 1.0
+    typical = (float(np.median(np.abs(samples.values[samples.weight > 0]))) if reading.power else 1.0) or 1.0
     logs, stretch = reading.to_log(samples.values / typical), np.log(samples.stretch)
     systems, wanted = [np.ones((1, len(pictures) + 1)), np.eye(len(pictures) + 1)[-1:]], [np.ones(1), np.ones(1)]
     for one, other, where in _overlaps(samples):
