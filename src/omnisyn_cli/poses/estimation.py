@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -183,7 +184,9 @@ def estimate_poses(
     _check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
-    scans = list(_scans(images, options or PictureOptions()))
+    options = options or PictureOptions()
+    scans = [scan_panorama(*picture, options.threads) for picture in _usable_pictures(images, options)]
+    forget_tables()
     graph = _solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
     edges, order = graph.edges, sorted(graph.poses)
     if finds_order:
@@ -226,12 +229,6 @@ def _solve_pose_graph(
     adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
     contradicting = sum(edge.first in placed for edge in matched) - len(edges)
     return PoseGraph(adjusted.poses if adjusted else poses, edges, contradicting, adjusted)
-
-
-def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:
-    for image, mask in zip(images, _given_masks(images, options), strict=True):
-        yield scan_panorama(*_usable_picture(image, (mask,), options), options.threads)
-    forget_tables()
 
 
 def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], int]]:
@@ -352,33 +349,27 @@ def _views_with_features(
     images: Sequence[Path], entries: Sequence[PosedPanorama], options: PictureOptions
 ) -> Iterator[tuple[View, Features]]:
     """The panoramas one after the other: reduced, with their poses; and the features of the whole pictures."""
-    for image, entry, given in zip(images, entries, _given_masks(images, options), strict=True):
-        picture, usable = _usable_picture(image, (entry.mask, given), options)
+    pictures = _usable_pictures(images, options, [entry.mask for entry in entries])
+    for entry, (picture, usable) in zip(entries, pictures, strict=True):
         yield (
             View(resize_area(picture, FLOOR_SIZE), entry.pose, usable),
             find_features(picture, usable, options.threads),
         )
 
 
-def _given_masks(images: Sequence[Path], options: PictureOptions) -> Sequence[Path | None]:
+def _usable_pictures(
+    images: Sequence[Path], options: PictureOptions, masks: Sequence[Path | None] = ()
+) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+    """The panoramas one after the other, each with where it may be used: by the masks of poses and those given."""
     if options.masks and len(options.masks) != len(images):
         raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
-    return options.masks or (None,) * len(images)
-
-
-def _usable_picture(
-    image: Path, masks: Sequence[Path | None], options: PictureOptions
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """A panorama, and where it may be used."""
-    panorama = read_panorama(
-        image, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels, reading=options.reading
-    )
-    usable = usable_part(
-        panorama.mask, panorama.image.shape[:2], masks, options.nadir,
-        allow_aspect=options.allow_aspect, max_pixels=options.max_pixels,
-        reading=replace(options.reading, view_transform=False),
-    )  # fmt: skip
-    return panorama.image, usable
+    limits: dict[str, Any] = {"allow_aspect": options.allow_aspect, "max_pixels": options.max_pixels}
+    mask_reading = replace(options.reading, view_transform=False)
+    none = [None] * len(images)
+    for image, *both in zip(images, masks or none, options.masks or none, strict=True):
+        panorama = read_panorama(image, reading=options.reading, **limits)
+        size = panorama.image.shape[:2]
+        yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=mask_reading, **limits)
 
 
 def _relative_uncertainty(first: int, second: int, graph: PoseGraph) -> PoseUncertainty:

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import ImageError, PoseError
 from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, ImportOptions, Origin
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.registration.scan import Scan

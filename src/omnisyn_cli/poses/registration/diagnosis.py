@@ -67,22 +67,13 @@ VERDICTS: dict[Verdict, str] = {
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a relative pose fits.
+    """How well a relative pose fits what was found in the pictures."""
 
-    Attributes:
-        rotation: radians between its rotation and that found in the pictures.
-        direction: radians between its direction of the second camera and that found; π where it has none, 0 where
-            the pictures have none.
-        residual: median angle to the epipolar circles over the matches that agree with what was found; radians.
-        in_front: share of these with a point in front of both cameras.
-        supporting: number of all matches that agree with it.
-    """
-
-    rotation: float
-    direction: float
-    residual: float
-    in_front: float
-    support_mask: int
+    rotation: float  # radians between both rotations
+    direction: float  # radians between both directions of the second camera; π without its own, 0 without theirs
+    residual: float  # median angle to the epipolar circles over the matches that agree with what was found; radians
+    in_front: float  # share of these with a point in front of both cameras
+    supporting: int  # number of all matches that agree with it
 
     def is_within(self, limits: tuple[float, float]) -> bool:
         """Whether rotation and direction are at most ``limits``."""
@@ -216,7 +207,7 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
         ]
     found = int(estimate.inliers.sum())
     sentences = [VERDICTS[diagnosis.verdict], _error_sentence(given, estimate)]
-    measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.support_mask} with the poses given"
+    measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.supporting} with the poses given"
     if not (estimate.have_same_position or _has_no_direction(given)):
         measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
@@ -324,7 +315,7 @@ def _fit_values(fit: Fit) -> dict[str, Any]:
         "direction_off_deg": math.degrees(fit.direction),
         "residual_deg": math.degrees(fit.residual),
         "in_front_share": fit.in_front,
-        "supporting_matches": fit.support_mask,
+        "supporting_matches": fit.supporting,
     }
 
 
