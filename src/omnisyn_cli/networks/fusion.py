@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, Ports, check_multiple
 from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
-from omnisyn_cli.networks.paper_layers import Block, upsample_linear
+from omnisyn_cli.networks.paper import RGB_CHANNELS, Block, upsample_linear
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 46)
@@ -34,9 +34,6 @@ MIN_INVERSE_DEPTH = 1e-3
 
 INITIAL_LOGIT_GAP = 4.0
 """A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is."""
-
-RGB_CHANNELS = 3
-"""Channels of a rendering; the direct network sees those of the first, then those of the second."""
 
 LOGIT_SCALE = 8.0
 """Factor on the output of the last convolution, which begins at zero: it leaves that sooner."""

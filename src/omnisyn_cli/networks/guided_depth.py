@@ -23,6 +23,7 @@ from omnisyn_cli.geometry.sphere import pixel_to_direction
 from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
 from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
+from omnisyn_cli.networks.paper import upsample_linear
 
 STRIDE = 4
 """Of the cost volume and of the guidance."""
@@ -260,7 +261,7 @@ class GuidedDepthNetwork(Network):
     def _matching_features(self, features: list[Tensor]) -> Float[Tensor, "batch features rows cols"]:
         """At a quarter of the size, from three strides."""
         _, at4, at8, at16, _ = features
-        x = self.lateral4(at4) + _enlarged(self.lateral8(at8), 2) + _enlarged(self.lateral16(at16), 4)
+        x = self.lateral4(at4) + upsample_linear(self.lateral8(at8), 2) + upsample_linear(self.lateral16(at16), 4)
         maps: Tensor = self.matched(x)
         return maps
 
@@ -297,12 +298,12 @@ class GuidedDepthNetwork(Network):
         x8 = self.down8(self.in8(torch.cat([self.to8(_halved(x4)), at8], dim=1)))
         x16 = self.down16(self.in16(torch.cat([self.to16(_halved(x8)), at16], dim=1)))
         x32 = self.middle(self.in32(torch.cat([self.to32(_halved(x16)), at32], dim=1)))
-        y = self.up16(torch.cat([_enlarged(x32, 2), x16], dim=1))
-        y = self.refine8(self.up8(torch.cat([_enlarged(y, 2), x8], dim=1)))
-        y = self.refine4(self.up4(torch.cat([_enlarged(y, 2), x4], dim=1)))
+        y = self.up16(torch.cat([upsample_linear(x32, 2), x16], dim=1))
+        y = self.refine8(self.up8(torch.cat([upsample_linear(y, 2), x8], dim=1)))
+        y = self.refine4(self.up4(torch.cat([upsample_linear(y, 2), x4], dim=1)))
         quarter = at_least_single(self.answer4(y))
-        z = self.refine2(self.up2(torch.cat([_enlarged(y, 2), at2], dim=1)))
-        half = at_least_single(self.answer2(z)) + _enlarged(quarter, 2)
+        z = self.refine2(self.up2(torch.cat([upsample_linear(y, 2), at2], dim=1)))
+        half = at_least_single(self.answer2(z)) + upsample_linear(quarter, 2)
         full = convex_upsample(half, at_least_single(self.upsampling(z)))
         most = self.config.max_sqrt_inv_depth
         return GuidedDepthPrediction(
@@ -328,9 +329,3 @@ def convex_upsample(
 
 def _halved(x: Tensor) -> Tensor:
     return functional.avg_pool2d(x, 2)
-
-
-def _enlarged(x: Tensor, factor: int) -> Tensor:
-    """Bilinear, over the seam."""
-    wide = functional.interpolate(wrap_columns(x, 1, 1), scale_factor=float(factor), mode="bilinear")
-    return wide[..., factor:-factor]

@@ -23,11 +23,8 @@ from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, init_small, initialise
-from omnisyn_cli.networks.paper_layers import row_channel
+from omnisyn_cli.networks.paper import RGB_CHANNELS, row_channel
 from omnisyn_cli.networks.unet import Hourglass
-
-RGB_CHANNELS = 3
-"""Of a panorama."""
 
 INITIAL_SQRT_INV_DEPTH = 0.4
 """√(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large."""

@@ -29,7 +29,6 @@ from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
-from omnisyn_cli.poses.registration.gravity import find_vertical
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import (
     Edge,
@@ -42,7 +41,14 @@ from omnisyn_cli.poses.registration.pose_graph import (
     shortest_path,
 )
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
-from omnisyn_cli.poses.registration.scan import Scan, forget_tables, likeness, register_pair, scan_panorama
+from omnisyn_cli.poses.registration.scan import (
+    Scan,
+    find_vertical,
+    forget_tables,
+    likeness,
+    register_pair,
+    scan_panorama,
+)
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 

@@ -34,8 +34,7 @@ from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
-from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, network_inputs
-from omnisyn_cli.training.losses import depth_scores, paper_loss
+from omnisyn_cli.training.losses import depth_scores, fusion_loss, fusion_scores, network_inputs, paper_loss
 from omnisyn_cli.training.pairs import Triples, swap_cameras
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 

@@ -27,7 +27,7 @@ from omnisyn_cli.networks.guided_depth import (
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
-from omnisyn_cli.training import fusion_losses, joint, losses, synsin
+from omnisyn_cli.training import joint, losses, synsin
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
 from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
@@ -200,12 +200,10 @@ TASKS: Mapping[str, Task] = {
         FUSION_VARIANTS,
         build_fusion,
         draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
-        inputs=lambda network, batch: (fusion_losses.network_inputs(network.config, batch.channels),),
-        answer=lambda network, batch: fusion_losses.fuse_with(network, batch.channels, batch.pictures),
-        loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth, batch.fused_error),
-        scores=lambda answer, batch: fusion_losses.fusion_scores(
-            answer, batch.channels, batch.truth, batch.pictures[:, :3]
-        ),
+        inputs=lambda network, batch: (losses.network_inputs(network.config, batch.channels),),
+        answer=lambda network, batch: losses.fuse_with(network, batch.channels, batch.pictures),
+        loss=lambda answer, batch: losses.fusion_loss(answer, batch.truth, batch.fused_error),
+        scores=lambda answer, batch: losses.fusion_scores(answer, batch.channels, batch.truth, batch.pictures[:, :3]),
         held_out=lambda path, turn, _: stacked(load_samples(path, FusionBatch, turn)),
         pool="fusion-pool",
     ),
