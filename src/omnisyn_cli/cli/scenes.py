@@ -15,7 +15,7 @@ from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
     from omnisyn_cli.geometry.pose import Pose
-    from omnisyn_cli.scenes.mesh import MeshScene
+    from omnisyn_cli.scenes.mesh.render import MeshScene
 
 KINDS = ("street", "room", "home")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
@@ -241,7 +241,7 @@ def _mesh(path: Path, scale: float, photos: list[Any], seed: int, *, z_up: bool,
 
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.io.meshes import read_mesh
-    from omnisyn_cli.scenes.mesh import papered_mesh, untextured_share
+    from omnisyn_cli.scenes.mesh.texturing import papered_mesh, untextured_share
 
     mesh = read_mesh(path, scale, z_up=z_up)
     plain = untextured_share(mesh)
@@ -264,7 +264,9 @@ def _walk(
 
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.scenes.mesh import MeshCaster, MeshScene, draw_lighting, find_walk
+    from omnisyn_cli.scenes.mesh.places import find_walk
+    from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+    from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting
 
     caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])
     if poses is not None:
@@ -288,7 +290,7 @@ def _write_folder(
 ) -> None:  # fmt: skip
     from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
     from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
-    from omnisyn_cli.scenes.mesh import render_mesh
+    from omnisyn_cli.scenes.mesh.render import render_mesh
 
     files = files_of_scene(line, with_depth=not no_depth)
     for file in files if folder.is_dir() else []:

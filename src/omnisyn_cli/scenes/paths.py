@@ -64,7 +64,9 @@ def sample_path(
             if baseline is None and _is_too_long(scene, walkway, start, end):
                 continue
             shares = np.linspace(0.0, 1.0, frames)[:, None]
-            return [Pose(_draw_rotation(rng, heading, tilt), position) for position in start + shares * (end - start)]
+            level = rotation_from_heading(heading)
+            positions = start + shares * (end - start)
+            return [Pose(random_rotation(rng, tilt) if tilt > 0.0 else level, position) for position in positions]
     raise ValueError(f"expected room for a path, found none in {_MAX_ATTEMPTS} attempts: try a shorter baseline")
 
 
@@ -128,9 +130,8 @@ def _draw_segment(
     return start, end
 
 
-def _draw_rotation(rng: np.random.Generator, heading: float, tilt: float) -> Float[np.ndarray, "3 3"]:
-    if tilt <= 0.0:
-        return rotation_from_heading(heading)
+def random_rotation(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
+    """How a camera is held with any heading, and pitch and roll of a standard deviation in radians."""
     return rotation_from_heading(rng.uniform(-math.pi, math.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
 
 

@@ -17,7 +17,10 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.scenes import GENERATORS, render_panorama
-from omnisyn_cli.scenes.mesh import MeshCaster, MeshScene, draw_lighting, find_walk, render_mesh, varied_mesh
+from omnisyn_cli.scenes.mesh.places import find_walk
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting, render_mesh
+from omnisyn_cli.scenes.mesh.texturing import varied_mesh
 from omnisyn_cli.training.data import Walk, save_samples
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
 from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, photographs, scene_path, walk_of

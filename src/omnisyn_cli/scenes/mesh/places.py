@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.scenes.mesh.lighting import sphere_directions
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.render import sphere_directions
 
 EYE_HEIGHTS = (1.1, 1.9)
 """Metres above the floor."""
