@@ -32,11 +32,8 @@ MIN_SURFACE_DIFFERENCE = 0.06
 MIN_INVERSE_DEPTH = 1e-3
 """Floor of inverse depth × baseline in relative differences: a thousandth moves a pixel by nothing."""
 
-INITIAL_LOGIT_GAP = 4.0
-"""A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is."""
-
-LOGIT_SCALE = 8.0
-"""Factor on the output of the last convolution, which begins at zero: it leaves that sooner."""
+INITIAL_LOGIT_GAP = 4.0  # A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is
+LOGIT_SCALE = 8.0  # Factor on the output of the last convolution, which begins at zero: it leaves that sooner
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,8 @@ SPHERES_AT_ONCE = 3
 FEATURE_SHIFT = -0.125
 """Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``."""
 
-LOG_SCALES = (-6.0, 2.0)
-"""Bounds of the log of the Laplace scale."""
-
-CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0
-"""Relative error of √(inverse depth) where depth is 10 % off."""
+LOG_SCALES = (-6.0, 2.0)  # Bounds of the log of the Laplace scale
+CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0  # Relative error of √(inverse depth) where depth is 10 % off
 
 GEOMETRY_CHANNEL_COUNT = 7
 """Channels: direction (3), cosine to the other camera, slope of the baseline, best cost, expected √(inverse depth)."""

@@ -129,11 +129,8 @@ def upsample_linear(x: Tensor, factor: int) -> Tensor:
     return wide[..., factor:-factor]
 
 
-FEATURE_STRIDE = 4
-"""Pixels of the image per cell of the sphere volume."""
-
-MAX_INVERSE_DEPTH = 4.0
-"""Largest inverse depth × baseline that is predicted: a quarter of the baseline away."""
+FEATURE_STRIDE = 4  # Pixels of the image per cell of the sphere volume
+MAX_INVERSE_DEPTH = 4.0  # Largest inverse depth × baseline that is predicted: a quarter of the baseline away
 
 HALF_CONFIDENCE_DIFFERENCE = 0.1
 """Relative difference between the heads at which the confidence is a half: a tenth, as confidence is of 10 %."""
@@ -144,14 +141,9 @@ MIN_RELATIVE_INVERSE_DEPTH = 0.05
 INITIAL_INVERSE_DEPTH = 0.25
 """Inverse depth × baseline that a fresh network's low head predicts everywhere, more or less: four baselines away."""
 
-INITIAL_COLOUR_WEIGHT = 2.0
-"""How much less a fresh network weighs a sphere where colours differ by one."""
-
-RANDOM_INIT_SCALE = 0.1
-"""Factor on the random weights beside the colour sweep, so that they do not drown it."""
-
-RGB_CHANNELS = 3
-"""Of a panorama or a rendering."""
+INITIAL_COLOUR_WEIGHT = 2.0  # How much less a fresh network weighs a sphere where colours differ by one
+RANDOM_INIT_SCALE = 0.1  # Factor on the random weights beside the colour sweep, so that they do not drown it
+RGB_CHANNELS = 3  # Of a panorama or a rendering
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,8 @@ POSES_NAME = "poses.json"
 
 VERSION = 1
 
-MAX_LISTED_NAMES = 8
-"""Names of panoramas in an error."""
-
-MAX_FILE_BYTES = 64 << 20
-"""Bytes; a hundred thousand panoramas need less."""
+MAX_LISTED_NAMES = 8  # Names of panoramas in an error
+MAX_FILE_BYTES = 64 << 20  # Bytes; a hundred thousand panoramas need less
 
 
 @dataclass(frozen=True)

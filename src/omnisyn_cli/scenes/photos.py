@@ -21,11 +21,8 @@ MIP_LEVELS = 12
 PHOTO_SHARE_RANGE = (0.3, 0.9)
 """Share of a scene's materials that become photographs: each scene draws its own in this range."""
 
-MIN_PICTURE_SHARE = 0.85
-"""Share of the pictures on walls that become photographs at least; chosen by eye."""
-
-GLASS_MIN_GLOSS = 0.8
-"""Gloss from which on a plain material is glass or a screen and keeps its colour."""
+MIN_PICTURE_SHARE = 0.85  # Share of the pictures on walls that become photographs at least; chosen by eye
+GLASS_MIN_GLOSS = 0.8  # Gloss from which on a plain material is glass or a screen and keeps its colour
 
 
 class PhotoMapping(IntEnum):

@@ -24,11 +24,8 @@ EXTRAS = (
 )  # fmt: skip
 """What stands around in the room that is looked at most."""
 
-BASELINE_RANGE = (0.25, 8.0)
-"""Shortest and longest distance between the first and the last camera, metres."""
-
-MAX_BASELINE_IN_DEPTHS = 3.0
-"""Longest baseline, in multiples of the depth of the nearest surface."""
+BASELINE_RANGE = (0.25, 8.0)  # Shortest and longest distance between the first and the last camera, metres
+MAX_BASELINE_IN_DEPTHS = 3.0  # Longest baseline, in multiples of the depth of the nearest surface
 
 Grid = dict[tuple[int, int], tuple[Cell, Openings]]
 """Rooms with their openings by column and row."""

@@ -23,11 +23,8 @@ from omnisyn_cli.training.data import Array, Augmentation, load_samples, save_sa
 from omnisyn_cli.training.scene_makers import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
-ORDERED_PAIRS = 4
-"""Ordered pairs per scene."""
-
-COLOUR_CHANNELS = (0, 8, 11)
-"""First of the three channels of each picture."""
+ORDERED_PAIRS = 4  # Ordered pairs per scene
+COLOUR_CHANNELS = (0, 8, 11)  # First of the three channels of each picture
 
 
 @dataclass(frozen=True)

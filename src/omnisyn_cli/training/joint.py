@@ -38,11 +38,8 @@ from omnisyn_cli.training.losses import depth_scores, fusion_loss, fusion_scores
 from omnisyn_cli.training.pairs import Triples, swap_cameras
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 
-FUSION_WEIGHT = 1.0
-"""Weight of the picture's loss beside that of the depth: both count the same."""
-
-BASELINE_DIRECTION = np.array([0.0, 0.0, -1.0])
-"""Direction from the first to the second camera in the forward frame."""
+FUSION_WEIGHT = 1.0  # Weight of the picture's loss beside that of the depth: both count the same
+BASELINE_DIRECTION = np.array([0.0, 0.0, -1.0])  # Direction from the first to the second camera in the forward frame
 
 
 @dataclass(frozen=True)

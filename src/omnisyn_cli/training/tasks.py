@@ -36,11 +36,8 @@ from omnisyn_cli.training.pairs import draw_pairs, draw_triples
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
 
-VALIDATION_SEED = 1
-"""Of the draws of held-out batches: the same in every run, so that losses can be compared."""
-
-HELD_OUT_LOSS = "held_out_loss"
-"""Name among the figures of the loss of what networks are judged by."""
+VALIDATION_SEED = 1  # Of the draws of held-out batches: the same in every run, so that losses can be compared
+HELD_OUT_LOSS = "held_out_loss"  # Name among the figures of the loss of what networks are judged by
 
 
 @dataclass(frozen=True)

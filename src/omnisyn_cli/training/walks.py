@@ -25,17 +25,10 @@ from omnisyn_cli.training.data import Walk, save_samples
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
 from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, photographs, scene_path, walk_of
 
-MESH = "mesh"
-"""Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`."""
-
-ATTEMPTS = 12
-"""Seeds that are tried for a walk before the kind is given up."""
-
-LIGHT_RAYS = 16
-"""Directions that every point of a mesh asks for light."""
-
-MIN_MEAN_BRIGHTNESS = 0.06
-"""Mean of a picture below which a walk is dropped."""
+MESH = "mesh"  # Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`
+ATTEMPTS = 12  # Seeds that are tried for a walk before the kind is given up
+LIGHT_RAYS = 16  # Directions that every point of a mesh asks for light
+MIN_MEAN_BRIGHTNESS = 0.06  # Mean of a picture below which a walk is dropped
 
 
 @dataclass(frozen=True)

@@ -41,17 +41,10 @@ EQUIRECTANGULAR_ID, SPHERE_ID = 17, 11
 
 SPHERE_PARAMETER_COUNT = 3
 
-POINT_BYTES = 24
-"""Of a 2-D point in ``images.bin``: x, y and the number of its 3-D point."""
-
-MAX_NAME_BYTES = 4096
-"""Longer names are no file's."""
-
-MAX_DIGITS = 20
-"""Of the greatest number of 64 bits."""
-
-SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
-"""Numbers of the words in text."""
+POINT_BYTES = 24  # Of a 2-D point in ``images.bin``: x, y and the number of its 3-D point
+MAX_NAME_BYTES = 4096  # Longer names are no file's
+MAX_DIGITS = 20  # Of the greatest number of 64 bits
+SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}  # Numbers of the words in text
 
 
 @dataclass(frozen=True)

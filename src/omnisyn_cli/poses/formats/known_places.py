@@ -28,11 +28,8 @@ from omnisyn_cli.io.documents import listed, read_json, read_text
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, find_image, images_in, noted, numbers
 from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places
 
-ELLIPSOID_ALTITUDE_REFS = (2, 3)
-"""Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)."""
-
-POSE_TAGS = ("Heading", "Pitch", "Roll")
-"""GPano's, between ``Pose`` and ``Degrees``."""
+ELLIPSOID_ALTITUDE_REFS = (2, 3)  # Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)
+POSE_TAGS = ("Heading", "Pitch", "Roll")  # GPano's, between ``Pose`` and ``Degrees``
 
 COLUMNS = {
     "image": ("image", "file", "filename", "file_name", "name", "path", "pano_id", "panoid", "id"),

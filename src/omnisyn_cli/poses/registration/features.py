@@ -40,14 +40,9 @@ MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
 BAND_LATITUDE = math.asin(1.0 / math.sqrt(3.0))
 """Latitude within which every direction lies in one of three orthogonal bands."""
 
-BAND_MARGIN = math.radians(9.0)
-"""Radians around a band that descriptors may reach into."""
-
-SIFT_CONTRAST_THRESHOLD = 0.02
-"""OpenCV's default is 0.04; half of it still finds features in plain rooms."""
-
-LOWE_RATIO = 0.8
-"""The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)."""
+BAND_MARGIN = math.radians(9.0)  # Radians around a band that descriptors may reach into
+SIFT_CONTRAST_THRESHOLD = 0.02  # OpenCV's default is 0.04; half of it still finds features in plain rooms
+LOWE_RATIO = 0.8  # The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)
 
 DESCRIPTOR_NORM = 512.0
 """Length of descriptors of whole numbers: sums of 128 products stay below 2²⁴, exact in float32 in any order."""
@@ -61,11 +56,8 @@ FINE_ROWS, MAX_ENLARGEMENT = 1536, 1.5
 """Rows of the picture that is searched: larger panoramas are reduced to it, smaller ones enlarged by at most this. That
 finds a third more matches in panoramas of 1024 rows."""
 
-WALL_LATITUDE = math.radians(55.0)
-"""Radians above and below the horizon that walls are looked for in."""
-
-SQUEEZE = 2
-"""Factor by which the second search narrows walls: those seen at 30° instead of 90°."""
+WALL_LATITUDE = math.radians(55.0)  # Radians above and below the horizon that walls are looked for in
+SQUEEZE = 2  # Factor by which the second search narrows walls: those seen at 30° instead of 90°
 
 FLOOR_PIXELS, FLOOR_TANGENT = 600, math.tan(math.radians(68.0))
 """Side of the bird's-eye view, and tangent of the largest angle from straight down along its sides."""

@@ -21,23 +21,15 @@ from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, su
 MIN_PARALLAX_PIXELS = 6.0
 """Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then."""
 
-MIN_SHARED_POINTS = 5
-"""Points that two pairs have to share for a ratio of their baselines."""
-
-MAX_SHARED_WEIGHT = 100
-"""Shared points beyond this make a ratio no more credible."""
+MIN_SHARED_POINTS = 5  # Points that two pairs have to share for a ratio of their baselines
+MAX_SHARED_WEIGHT = 100  # Shared points beyond this make a ratio no more credible
 
 EQUAL_LENGTH_WEIGHT = 0.01
 """Weight, in shared points, of baselines being equal: it decides only where nothing else does."""
 
-GIVEN_LENGTH_WEIGHT = 1e4
-"""Weight, in shared points, of a baseline that is given."""
-
-UNTOLD_WEIGHT = 1e-4
-"""Factor of the weight of pairs whose baseline's length is only assumed."""
-
-AVERAGING_ROUNDS = 50
-"""Of rotation averaging, each over all panoramas; a chain needs none."""
+GIVEN_LENGTH_WEIGHT = 1e4  # Weight, in shared points, of a baseline that is given
+UNTOLD_WEIGHT = 1e-4  # Factor of the weight of pairs whose baseline's length is only assumed
+AVERAGING_ROUNDS = 50  # Of rotation averaging, each over all panoramas; a chain needs none
 
 CONTRADICTION_ANGLE = math.radians(3.0)
 """Radians off the mean at which a pair has a quarter of its weight and from which on it contradicts the others.

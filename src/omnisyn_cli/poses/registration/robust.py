@@ -90,14 +90,9 @@ SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30
 UPRIGHT_SCALE = 4.0
 """Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree."""
 
-CONFIDENCE = 0.9999
-"""Probability that a sample without a wrong match was among those drawn."""
-
-HYPOTHESES_PER_CHUNK = 256
-"""Hypotheses that are scored at once, which bounds memory."""
-
-REFINED_HYPOTHESES = 10
-"""Hypotheses that are refined."""
+CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among those drawn
+HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
+REFINED_HYPOTHESES = 10  # Hypotheses that are refined
 
 RIVAL_ANGLE = math.radians(5.0)
 """Radians of rotation or direction from which on a known pose contradicts the one that costs least. The one that is

@@ -50,23 +50,15 @@ FACE_SHARE, FACE_TANGENT = 0.625, 1.1
 """Side of the six tangent images that lines are looked for in, over the rows of the panorama, and tangent of half their
 angle. They overlap a little, so that no line is lost at an edge. In larger ones the columns of pixels become lines."""
 
-MIN_LINE_ANGLE = math.radians(2.0)
-"""Radians that a line segment has to span."""
-
-MAX_LINES = 800
-"""The longest ones are searched; each is compared with every hypothesis."""
-
-HYPOTHESES = 3000
-"""Pairs of lines that are tried, long ones more often."""
+MIN_LINE_ANGLE = math.radians(2.0)  # Radians that a line segment has to span
+MAX_LINES = 800  # The longest ones are searched; each is compared with every hypothesis
+HYPOTHESES = 3000  # Pairs of lines that are tried, long ones more often
 
 VOTE_WIDTH, FIT_WIDTH = math.radians(1.5), math.radians(0.4)
 """Radians off the zenith within which a line speaks for it, in the search and in the end."""
 
-FIT_ROUNDS = 15
-"""Rounds of reweighted least squares; the width shrinks by a fifth in each."""
-
-RIVAL_ANGLE = math.radians(6.0)
-"""Radians from the best direction beyond which another one is a rival."""
+FIT_ROUNDS = 15  # Rounds of reweighted least squares; the width shrinks by a fifth in each
+RIVAL_ANGLE = math.radians(6.0)  # Radians from the best direction beyond which another one is a rival
 
 MAX_RIVAL_SHARE = 0.8
 """Votes of the strongest rival over those of the best, up to which it is certain. Of 180 generated panoramas all ten
@@ -185,11 +177,8 @@ better with a wrong direction, whose logarithm was −9.)"""
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
 """Directions to the other side that two matches each propose, and how many of the best are counted exactly."""
 
-LIKENESS_FEATURES = 600
-"""Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take."""
-
-SMALL_ROWS = 256
-"""Rows of the picture in colour that floors are looked for in."""
+LIKENESS_FEATURES = 600  # Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take
+SMALL_ROWS = 256  # Rows of the picture in colour that floors are looked for in
 
 
 MIN_SEAM_STEP, MIN_SEAM_RATIO = 0.06, 4.0
