@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import distance_between
@@ -34,11 +33,6 @@ class FeatureBatch:
     channels: Float[Array, "*batch channels height width"]  # see stereo_features
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # true √(inverse depth × baseline); NaN where it is not known
     baseline: Float[Array, "*batch"]  # metres
-
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What a network sees."""
-        return (self.channels,)
 
 
 def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:

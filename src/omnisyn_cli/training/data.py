@@ -137,11 +137,7 @@ def stacked(samples: Sequence[Sample]) -> Sample:
 
 
 def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
-    """All scenes of a pool in a fixed order.
-
-    Args:
-        folder: of the pool.
-        maker: command that such pools are made by, of :data:`REQUIRED_ARRAYS`.
+    """All scenes of a pool in a fixed order; such pools are made by the command ``maker``.
 
     Raises InputError: there are none, they are of another kind, or the first one is damaged.
     """

@@ -58,11 +58,6 @@ class GuidedBatch:
     ratio: Float[Array, "*batch"]  # baseline over median depth
     is_mesh: Bool[Array, "*batch"]  # whether the scene is a mesh
 
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What the network sees."""
-        return self.first, self.second, self.towards, self.guidance
-
 
 def draw_guided(
     pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], max_sqrt_inv_depth: float,

@@ -34,11 +34,6 @@ class Batch:
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline) of the first; NaN: not known
     baseline: Float[Array, "*batch"]  # metres
 
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What a network sees."""
-        return self.first, self.second
-
 
 @dataclass(frozen=True)
 class Triples(Batch):

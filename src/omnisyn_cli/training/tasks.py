@@ -77,7 +77,8 @@ class Task:
     draw: Callable[[list[Path], np.random.Generator, TrainConfig, Any, Augmentation | None], Any]
     loss: Callable[[Any, Any], Tensor]  # of an answer to a batch, a scalar
     scores: Callable[[Any, Any], dict[str, float]]  # figures of an answer to a batch
-    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: batch.inputs  # of a network and a batch
+    # what a network is shown of a batch: both panoramas of pairs
+    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: (batch.first, batch.second)
     answer: Callable[[Any, Any], Any] | None = None  # of a network to a batch; None calls it with ``inputs``
     pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None  # RGB in [0, 1] by name; None: nobody looks
     held_out: Callable[[Path, int, TrainConfig], Any] | None = None
@@ -175,6 +176,7 @@ TASKS: Mapping[str, Task] = {
         draw=lambda pool, rng, stage, network, varied: draw_guided(
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
+        inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
         loss=guided_loss,
         scores=guided_scores,
         pictures=_guided_pictures,
@@ -187,6 +189,7 @@ TASKS: Mapping[str, Task] = {
         draw=lambda pool, rng, stage, _, varied: draw_completion(
             pool, rng, stage.batch, stage.size, augment=varied is not None
         ),
+        inputs=lambda _, batch: (batch.channels,),
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
         scores=_completion_scores,
         pictures=_completion_pictures,

@@ -96,10 +96,8 @@ def colmap_files(
 ) -> dict[str, str]:
     """``cameras.txt``, ``images.txt`` and ``points3D.txt`` by name.
 
-    Args:
-        poses: world-from-camera, by the names of the images.
-        sizes: ``(height, width)``, likewise.
-        points: ``X Y Z R G B`` of each, in COLMAP's world; they are seen in no image as far as the file says.
+    World-from-camera poses and sizes ``(height, width)`` are by the names of the images, points ``X Y Z R G B`` in
+    COLMAP's world; they are seen in no image as far as the file says.
     """
     cameras = {size: number for number, size in enumerate(dict.fromkeys(sizes.values()), start=1)}
     camera_lines = [

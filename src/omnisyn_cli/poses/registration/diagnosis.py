@@ -209,11 +209,9 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def camera_height_sentence(height: float, found_baseline: float | None = None) -> str:
-    """What a height in metres above the floor says about the distances between cameras.
+    """What a height in metres above the floor says about the distances between cameras that it follows from.
 
-    Args:
-        height: by these distances.
-        found_baseline: mean distance of neighbours that poses from the pictures were scaled to; None for given poses.
+    ``found_baseline`` is the mean distance of neighbours that poses from the pictures were scaled to, if they were.
     """
     doubt, advice = "", "are the distances in metres?"
     if found_baseline is not None:

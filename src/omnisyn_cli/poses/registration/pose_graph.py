@@ -130,16 +130,11 @@ def consistent_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray])
 
 
 def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *, is_ordered: bool) -> list[Edge]:
-    """Those whose directions and ratios of lengths fit one set of positions.
+    """Those whose directions and ratios of lengths fit one set of positions, given averaged rotations.
 
     Repeated tiles shift a camera without turning it. While pairs contradict, the one without which fewest do is left
     out. Of equal ones neighbours in an order stay: distant pairs are misled more easily. Then it is the one whose other
-    matches agree best with the pose that the rest implies, or the longest one.
-
-    Args:
-        edges: between panoramas that have rotations, which they connect.
-        rotations: averaged ones.
-        is_ordered: panoramas are numbered in walking order.
+    matches agree best with the pose that the rest implies, or the longest one. Edges connect all that have rotations.
     """
     edges, ratios = list(edges), length_ratios(edges)
     _, contradicts = _positions_and_contradictions(edges, rotations, ratios)
