@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.lazy import PlainGroup
-from omnisyn_cli.cli.options import quiet_option, threads_option
+from omnisyn_cli.cli.options import defaulted, quiet_option, threads_option, whole_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 from omnisyn_cli.cli.terminal import say
@@ -45,25 +45,18 @@ SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
     "--suite", is_flag=True,
     help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, with three frames between.",
 )  # fmt: skip
-@click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="Kind of scene.")
-@click.option(
-    "--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of the first scene; the next ones count up."
-)
-@click.option(
-    "--count", type=WholeRange(1), default=1, show_default=True,
-    help="Number of scenes; above 1 each gets a folder in OUT.",
-)  # fmt: skip
-@click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
-@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
+@defaulted("--kind", "street", "Kind of scene.", type=click.Choice(KINDS))
+@whole_option("--seed", 0, 0, "Seed of the first scene; the next ones count up.")
+@whole_option("--count", 1, 1, "Number of scenes; above 1 each gets a folder in OUT.")
+@whole_option("--frames", 3, 1, "Panoramas on a straight line.")
+@defaulted("--size", "1024x512", "Size of the panoramas.", type=Size())
 @click.option(
     "--baseline", type=FiniteRange(0, min_open=True),
     help="Metres from the first panorama to the last.  [default: random]",
 )  # fmt: skip
-@click.option("--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Camera tilt in degrees.")
+@defaulted("--tilt", 0.0, "Camera tilt in degrees.", type=FiniteRange(0, 90))
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
-@click.option(
-    "--supersample", type=WholeRange(1, 8), default=3, show_default=True, help="Samples per pixel along each axis."
-)
+@defaulted("--supersample", 3, "Samples per pixel along each axis.", type=WholeRange(1, 8))
 @click.option(
     "--name", "names", multiple=True, help="Image file of a frame, once per frame.  [default: 0000.png, 0001.png, ...]"
 )
@@ -180,19 +173,17 @@ def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 @scenes.command()
 @click.argument("meshes", nargs=-1, required=True, type=FilePath(dir_okay=False))
 @click.option("-o", "--output", required=True, type=FilePath(file_okay=False), help="Folder to write.")
-@click.option("--count", type=WholeRange(1), default=1, show_default=True, help="Walks through each mesh.")
-@click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
+@whole_option("--count", 1, 1, "Walks through each mesh.")
+@whole_option("--frames", 3, 1, "Panoramas on a straight line.")
 @click.option("--poses", type=FilePath(dir_okay=False), help="Pose file of the cameras, in the mesh's frame, y up.")
-@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
-@click.option("--scale", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Metres per unit.")
+@defaulted("--size", "1024x512", "Size of the panoramas.", type=Size())
+@defaulted("--scale", 1.0, "Metres per unit.", type=FiniteRange(0, min_open=True))
 @click.option("--z-up", is_flag=True, help="The z axis of the files is up, instead of y.")
 @click.option("--unlit", is_flag=True, help="Show textures without lighting, as for scans.")
 @click.option("--textures", type=FilePath(file_okay=False), help="Photographs for surfaces without texture.")
-@click.option("--light-rays", type=WholeRange(4, 1024), default=64, show_default=True, help="Light rays per pixel.")
-@click.option(
-    "--supersample", type=WholeRange(1, 8), default=2, show_default=True, help="Samples per pixel along each axis."
-)
-@click.option("--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of walks and lighting.")
+@defaulted("--light-rays", 64, "Light rays per pixel.", type=WholeRange(4, 1024))
+@defaulted("--supersample", 2, "Samples per pixel along each axis.", type=WholeRange(1, 8))
+@whole_option("--seed", 0, 0, "Seed of walks and lighting.")
 @click.option("--pool", is_flag=True, help="Write training scenes (.npz) for `omnisyn train recipe` instead.")
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")

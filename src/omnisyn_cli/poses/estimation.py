@@ -26,20 +26,12 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
+from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
 from omnisyn_cli.poses.registration.least_squares import relative_pose
-from omnisyn_cli.poses.registration.pose_graph import (
-    Edge,
-    agreeing_edges,
-    average_rotations,
-    baseline_lengths,
-    consistent_edges,
-    placed_panoramas,
-    positions_of,
-    shortest_path,
-)
+from omnisyn_cli.poses.registration.pose_graph import Edge
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 from omnisyn_cli.poses.registration.scan import (
     Scan,
@@ -196,7 +188,7 @@ def estimate_poses(
     graph = _solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
     edges, order = graph.edges, sorted(graph.poses)
     if finds_order:
-        order = shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
+        order = pose_graph.shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
     world, level_note = _levelled({k: graph.poses[k] for k in order}, scans)
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
@@ -223,14 +215,16 @@ def _solve_pose_graph(
 ) -> PoseGraph:  # fmt: skip
     """Rotations averaged over all pairs, positions from directions and lengths, then both adjusted to the matches."""
     matched, tried = _matched_edges(scans, is_ordered=is_ordered)
-    rotations = average_rotations(matched, placed_panoramas(matched, len(images)))
-    edges = consistent_edges(matched, rotations)
-    placed = placed_panoramas(edges, len(images))
+    rotations = pose_graph.average_rotations(matched, pose_graph.placed_panoramas(matched, len(images)))
+    edges = pose_graph.consistent_edges(matched, rotations)
+    placed = pose_graph.placed_panoramas(edges, len(images))
     if len(placed) < 2 or (must_place_all and len(placed) < len(images)):
         raise _unplaced(images, placed, tried, _partial_notes(images, scans))
     rotations = {k: rotations[k] for k in placed}
-    edges = agreeing_edges([edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered)
-    positions = positions_of(edges, *baseline_lengths(edges, given), rotations)
+    edges = pose_graph.agreeing_edges(
+        [edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered
+    )
+    positions = pose_graph.positions_of(edges, *pose_graph.baseline_lengths(edges, given), rotations)
     poses = {k: Pose(rotations[k], positions[k]) for k in placed}
     adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
     contradicting = sum(edge.first in placed for edge in matched) - len(edges)
@@ -260,7 +254,7 @@ def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edg
     for pair in sorted(wanted | neighbours):
         attempt(pair, is_thorough=pair in neighbours)
     for pair in [pair for pair in ranked if pair not in tried][: LIKE_PANORAMAS * count]:
-        placed = placed_panoramas(edges, count)
+        placed = pose_graph.placed_panoramas(edges, count)
         if len(placed) == count:
             break
         if (pair[0] in placed) != (pair[1] in placed):
