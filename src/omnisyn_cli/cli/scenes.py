@@ -258,6 +258,7 @@ def _walk(
     from omnisyn_cli.scenes.mesh.places import find_walk
     from omnisyn_cli.scenes.mesh.raycast import MeshCaster
     from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting
+    from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
 
     caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])
     if poses is not None:
@@ -271,7 +272,7 @@ def _walk(
             )
         line = {f"{frame:04d}.png": pose for frame, pose in enumerate(found)}
     first = next(iter(line.values()))
-    scene = MeshScene.of(mesh, draw_lighting(caster, rng, first.position, light_rays), caster)
+    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, first.position, light_rays))
     return scene.exposed_at(first), line
 
 

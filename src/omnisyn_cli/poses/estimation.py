@@ -119,9 +119,8 @@ def check_poses(
 ) -> Iterator[PairDiagnosis]:
     """Judge the poses of all neighbours, one after the other.
 
-    Raises:
-        InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used.
-        PoseError: no entry for one, or two of one name.
+    Raises InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used;
+    PoseError: no entry for one, or two of one name.
     """
     _check_images(images)
     check_names_tell_apart(images, pose_file)
@@ -131,7 +130,6 @@ def check_poses(
         matches = match_features(seen_by_a, seen_by_b)
         fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
         yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits, (a, b))
-    forget_tables()
 
 
 def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None) -> FoundPoses:
@@ -175,16 +173,14 @@ def estimate_poses(
         must_place_all: refuse panoramas that do not fit the others; else they are named and left out.
         finds_order: the order is looked for as well: a short way along pairs that match.
 
-    Raises:
-        InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks.
-        PoseError: too few matches, or no floor to measure the height from.
+    Raises InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks;
+    PoseError: too few matches, or no floor to measure the height from.
     """
     _check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
     options = options or PictureOptions()
     scans = [scan_panorama(*picture, options.threads) for picture in _usable_pictures(images, options)]
-    forget_tables()
     graph = _solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
     edges, order = graph.edges, sorted(graph.poses)
     if finds_order:
@@ -370,6 +366,7 @@ def _usable_pictures(
         panorama = read_panorama(image, reading=options.reading, **limits)
         size = panorama.image.shape[:2]
         yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=mask_reading, **limits)
+    forget_tables()
 
 
 def _relative_uncertainty(first: int, second: int, graph: PoseGraph) -> PoseUncertainty:

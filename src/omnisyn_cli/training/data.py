@@ -67,9 +67,7 @@ class Augmentation:
 def save_samples(path: Path, samples: Sequence[Any]) -> None:
     """Write dataclasses of arrays and numbers, whole or not at all; a kill leaves no partial file under the name.
 
-    Raises:
-        WriteError: the disk is full, or the folder went away.
-        OutputPathError: the folder cannot be made.
+    Raises WriteError: the disk is full, or the folder went away; OutputPathError: the folder cannot be made.
     """
     arrays = {f"{name}_{k}": value for k, sample in enumerate(samples) for name, value in vars(sample).items()}
     make_folder(path.parent, "a pool")

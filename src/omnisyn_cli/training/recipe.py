@@ -98,8 +98,7 @@ class Recipe:
 def read_recipe(path: Path) -> Recipe:
     """A recipe from a TOML file; its keys are the attributes of :class:`Recipe`, with ``[[stages]]``.
 
-    Raises:
-        InputError: no such file, no TOML, or unknown, missing or impossible values.
+    Raises InputError: no such file, no TOML, or unknown, missing or impossible values.
     """
     try:
         values = tomllib.loads(read_text(path, "a recipe", error=InputError))

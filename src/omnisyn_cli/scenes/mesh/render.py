@@ -14,7 +14,6 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_direction
-from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.scenes.mesh.raycast import Caster, Hits, MeshCaster
 from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
 
@@ -197,12 +196,6 @@ class MeshScene:
     colours: SurfaceColours
     lighting: Lighting
     exposure: float | None = None
-
-    @staticmethod
-    def of(mesh: TexturedMesh, lighting: Lighting, caster: MeshCaster | None = None) -> "MeshScene":
-        """A scene without a fixed exposure."""
-        caster = caster or MeshCaster(mesh)
-        return MeshScene(caster, SurfaceColours(caster), lighting)
 
     def exposed_at(self, pose: Pose) -> "MeshScene":
         """The scene with the exposure that suits a camera, for all pictures of a walk."""
