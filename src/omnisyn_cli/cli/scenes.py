@@ -26,8 +26,7 @@ TEXTURES = click.option(
 )  # fmt: skip
 """Of every command that makes scenes."""
 
-MEDIUM_TEXTURE = 0.5
-"""Share of the area without texture from which on a line says so."""
+MEDIUM_TEXTURE = 0.5  # Share of the area without texture from which on a line says so
 
 
 @click.group(cls=PlainGroup)

@@ -256,5 +256,4 @@ def _encoder(path: Path | None) -> Any:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)
-"""All of this module."""
+COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)  # All of this module

@@ -29,8 +29,7 @@ STRIDE_CENTRE_OFFSETS = (1, 0, 1, 0, 1)
 Alternating keeps the drift small: features at stride 4 lie half an input pixel before the centre of their block.
 """
 
-EPSILON = 1e-3
-"""Of batch normalisation, as the published weights were trained with."""
+EPSILON = 1e-3  # Of batch normalisation, as the published weights were trained with
 
 
 class FrozenBatchNorm(nn.Module):

@@ -26,8 +26,7 @@ SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 4
 """Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 of the depth hypotheses."""
 
-MIN_SURFACE_DIFFERENCE = 0.06
-"""Relative difference of inverse depth between two depth hypotheses of different surfaces."""
+MIN_SURFACE_DIFFERENCE = 0.06  # Relative difference of inverse depth between two depth hypotheses of different surfaces
 
 MIN_INVERSE_DEPTH = 1e-3
 """Floor of inverse depth × baseline in relative differences: a thousandth moves a pixel by nothing."""

@@ -25,16 +25,14 @@ from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConf
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
 from omnisyn_cli.networks.paper import upsample_linear
 
-STRIDE = 4
-"""Of the cost volume and of the guidance."""
+STRIDE = 4  # Of the cost volume and of the guidance
 
 GUIDANCE_CHANNELS = 6
 """√(inverse depth × baseline) of the best match, share of a cell that is left-right consistent, share that is sky, root
 of the filled map, the first of them where it is consistent, and whether there is guidance. All are zero where there is
 none."""
 
-SPHERES_AT_ONCE = 3
-"""Those that features are gathered for: their maps fit the cache of a processor."""
+SPHERES_AT_ONCE = 3  # Those that features are gathered for: their maps fit the cache of a processor
 
 FEATURE_SHIFT = -0.125
 """Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``."""
@@ -45,8 +43,7 @@ CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0  # Relative error of √(inverse depth) wh
 GEOMETRY_CHANNEL_COUNT = 7
 """Channels: direction (3), cosine to the other camera, slope of the baseline, best cost, expected √(inverse depth)."""
 
-SHARPNESS = 8.0
-"""Factor on correlations before the softmax that the expected √(inverse depth) is weighted by."""
+SHARPNESS = 8.0  # Factor on correlations before the softmax that the expected √(inverse depth) is weighted by
 
 
 @dataclass(frozen=True)
@@ -67,8 +64,7 @@ class GuidedDepthConfig(NetworkConfig):
         return 32
 
 
-GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}
-"""The networks by name."""
+GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}  # The networks by name
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from omnisyn_cli.geometry.sphere import pixel_to_angles
 from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 
-LEAK = 0.01
-"""Slope of the LeakyReLU below zero."""
+LEAK = 0.01  # Slope of the LeakyReLU below zero
 
 
 class UNet(nn.Module):

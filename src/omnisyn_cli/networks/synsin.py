@@ -53,8 +53,7 @@ class SynSinConfig(NetworkConfig):
         return int(2 ** max(len(self.depth_widths) + 1, len(self.decoder_widths)))
 
 
-SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}
-"""The networks by name."""
+SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}  # The networks by name
 
 
 def inverse_depth_of(sqrt_inv_depth: Tensor, config: SynSinConfig) -> Tensor:

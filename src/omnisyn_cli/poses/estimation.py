@@ -44,8 +44,7 @@ from omnisyn_cli.poses.registration.scan import (
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
-DEFAULT_BASELINE = 1.0
-"""Metres between two panoramas where no baseline is given."""
+DEFAULT_BASELINE = 1.0  # Metres between two panoramas where no baseline is given
 
 FLOOR_QUANTILE = 0.75
 """Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it."""

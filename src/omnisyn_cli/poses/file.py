@@ -31,8 +31,7 @@ from omnisyn_cli.poses.entries import (
     rigid_rotation,
 )
 
-POSES_NAME = "poses.json"
-"""What a pose file is called where a folder stands for its panoramas."""
+POSES_NAME = "poses.json"  # What a pose file is called where a folder stands for its panoramas
 
 VERSION = 1
 

@@ -18,8 +18,7 @@ from omnisyn_cli.stereo.plane_sweep import AxisSweep, fit_plane, significant_sup
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import DepthEstimate, View
 
-FLOOR_SIZE = (256, 512)
-"""Height and width of the pair in which planes are found: twice that of the sweep, for the fit."""
+FLOOR_SIZE = (256, 512)  # Height and width of the pair in which planes are found: twice that of the sweep, for the fit
 
 MIN_FLOOR_SHARE = 0.4
 """A level plane may be the floor with this share of the support of the best one: furniture hides much of a floor.

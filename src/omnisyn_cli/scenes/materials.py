@@ -71,8 +71,7 @@ def random_material(
     return Material(pattern, seed=int(rng.integers(1, 1000)), **properties)
 
 
-PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS)
-"""Patterns with holes, which rays pass."""
+PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS)  # Patterns with holes, which rays pass
 
 PACKED_MATERIAL = np.dtype([
     ("pattern", "i8"), *((name, "f8", 3) for name in COLOURS), ("cell", "f8", 2), ("line", "f8"), ("grain", "f8"),

@@ -15,8 +15,7 @@ from jaxtyping import Int64, UInt8
 
 from omnisyn_cli.scenes.materials import Pattern
 
-MIP_LEVELS = 12
-"""Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated."""
+MIP_LEVELS = 12  # Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated
 
 PHOTO_SHARE_RANGE = (0.3, 0.9)
 """Share of a scene's materials that become photographs: each scene draws its own in this range."""
@@ -52,8 +51,7 @@ PHOTO_PLACEMENTS: Mapping[Pattern, tuple[tuple[PhotoMapping, ...], float, float]
 }
 """By pattern: mappings, one of which is drawn, and the range of a photograph's width in metres, chosen by eye."""
 
-GROUND_PATTERNS = (Pattern.ROAD, Pattern.GRASS)
-"""Patterns that lie on the ground whatever they belong to."""
+GROUND_PATTERNS = (Pattern.ROAD, Pattern.GRASS)  # Patterns that lie on the ground whatever they belong to
 
 
 class Photos(NamedTuple):
@@ -67,8 +65,7 @@ class Photos(NamedTuple):
     levels: Int64[np.ndarray, "photos levels 3"]
 
 
-NO_PHOTOS = Photos(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64))
-"""Of scenes without."""
+NO_PHOTOS = Photos(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64))  # Of scenes without
 
 
 def pack_photos(images: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Photos:

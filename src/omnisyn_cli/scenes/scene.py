@@ -21,8 +21,7 @@ from omnisyn_cli.scenes.photos import NO_PHOTOS, Photos
 
 Point = tuple[float, float, float]
 
-SEGMENTS = 24
-"""Around what is round; a radius is at most 0.9 % too short between them."""
+SEGMENTS = 24  # Around what is round; a radius is at most 0.9 % too short between them
 
 
 class Shape(IntEnum):
@@ -96,8 +95,7 @@ def triangles(
     return points.astype(np.float32), corners.astype(np.int32), owner, axis
 
 
-GROUND_REACH = 1000.0
-"""Metres from the origin to the edge of the ground."""
+GROUND_REACH = 1000.0  # Metres from the origin to the edge of the ground
 
 
 class Lighting(NamedTuple):

@@ -31,8 +31,7 @@ Sample = TypeVar("Sample")
 REQUIRED_ARRAYS = {"pool": "positions_0", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
 """By the command that makes a kind of pool, an array that only its files have."""
 
-MAX_SURFACE_STEP = 0.1
-"""Relative difference of inverse depth between neighbouring pixels of one surface."""
+MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbouring pixels of one surface
 
 
 @dataclass(frozen=True)

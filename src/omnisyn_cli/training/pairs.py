@@ -21,8 +21,7 @@ from omnisyn_cli.geometry.sweep import forward_frame, swap_cameras_in_forward_fr
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 
-MAX_SURFACE_STEP = 0.05
-"""Relative difference of interpolated and nearest depth up to which both are of one surface."""
+MAX_SURFACE_STEP = 0.05  # Relative difference of interpolated and nearest depth up to which both are of one surface
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ import torch
 
 from omnisyn_cli.errors import InputError
 
-DEVICES = ("auto", "cpu", "cuda")
-"""Where users can ask for training to run."""
+DEVICES = ("auto", "cpu", "cuda")  # Where users can ask for training to run
 
 BF16_INSTRUCTIONS = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
 """Questions to :mod:`torch.cpu`, not all of which every version of torch knows: whether there are instructions that

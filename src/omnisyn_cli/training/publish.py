@@ -19,8 +19,7 @@ from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.synsin import blend_points, draw_views
 from omnisyn_cli.training.tasks import TASKS, Task, TrainConfig, parts_of, role_of
 
-COMPARED_EXAMPLES = 3
-"""Examples of each kind that torch and ONNX Runtime are compared on."""
+COMPARED_EXAMPLES = 3  # Examples of each kind that torch and ONNX Runtime are compared on
 
 Examples = Iterator[tuple[np.ndarray, ...]]
 

@@ -28,8 +28,7 @@ from omnisyn_cli.scenes.paths import random_rotation
 from omnisyn_cli.training.data import Walk
 from omnisyn_cli.types import DepthEstimate, View
 
-PATH_STOPS = 9
-"""Positions along a path that views are drawn from; the ends are always taken."""
+PATH_STOPS = 9  # Positions along a path that views are drawn from; the ends are always taken
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,7 @@ COLUMNS = {
 
 REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
 
-MAX_RADIAN_HEADING = 6.3
-"""Just above 2π: headings that all stay below may be radians."""
+MAX_RADIAN_HEADING = 6.3  # Just above 2π: headings that all stay below may be radians
 
 
 def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:

@@ -207,8 +207,7 @@ def _images(folder: Path, count: int) -> tuple[list[tuple[int, Path]], str]:
     raise PoseError(f"{folder}: expected {count} panoramas, one per pose, got {len(paths)}; give --images")
 
 
-MIN_NOTED_ROTATION = 1e-6
-"""Radians; smaller rotations are rounding and get no note."""
+MIN_NOTED_ROTATION = 1e-6  # Radians; smaller rotations are rounding and get no note
 
 
 def habitat_folders(folder: Path) -> list[Path]:

@@ -26,8 +26,7 @@ Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unkn
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
 taken from one place, only rotations can be judged; ``unknown``: too few matches."""
 
-FIT_LIMITS = (math.radians(0.5), math.radians(2.0))
-"""Errors of rotation and direction up to which poses fit."""
+FIT_LIMITS = (math.radians(0.5), math.radians(2.0))  # Errors of rotation and direction up to which poses fit
 
 CLOSE_LIMITS = (math.radians(15.0), math.radians(20.0))
 """Errors that are taken for inaccuracy rather than for a mistake in convention: wrong axes are off by far more."""

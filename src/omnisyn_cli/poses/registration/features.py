@@ -31,8 +31,7 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, pixel_scale, pixel_to_direction
 
-MAX_IMAGE_ROWS = 1024
-"""Larger panoramas are reduced to this height: features are then found within about 0.05°."""
+MAX_IMAGE_ROWS = 1024  # Larger panoramas are reduced to this height: features are then found within about 0.05°
 
 MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
 """Points that are looked for in a flat image, and features of a panorama; matching takes time with its square."""

@@ -15,8 +15,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotati
 from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.poses.registration.features import Matches
 
-MIN_SQUARED_SINE = 1e-12
-"""Squared sine of the angle below which two directions span no plane."""
+MIN_SQUARED_SINE = 1e-12  # Squared sine of the angle below which two directions span no plane
 
 
 def relative_pose(first: Pose, second: Pose) -> Pose:

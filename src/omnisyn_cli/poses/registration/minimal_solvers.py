@@ -88,8 +88,7 @@ def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
     return action
 
 
-MAX_MODULUS_ERROR = 1e-4
-"""Distance of a root from the unit circle up to which it counts as a turn."""
+MAX_MODULUS_ERROR = 1e-4  # Distance of a root from the unit circle up to which it counts as a turn
 
 TURNS = math.radians(72.0) * np.arange(5)
 """Radians; a trigonometric polynomial of degree 2 follows from its values there."""

@@ -39,8 +39,7 @@ Right pairs are off by tenths of a degree."""
 CONTRADICTION_RATIO = 1.25
 """Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %."""
 
-MAX_IN_PLACE_SHARE = 0.1
-"""Of the median distance of pairs: farther apart, two panoramas are not in one place."""
+MAX_IN_PLACE_SHARE = 0.1  # Of the median distance of pairs: farther apart, two panoramas are not in one place
 
 MIN_OTHER_MATCHES = 15
 """Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions."""

@@ -24,8 +24,7 @@ AMBIENT_LIGHT = 0.05  # Light where nothing shines
 SOFT = 0.6
 """Share of the scenes whose sky is as bright as their walls: few rays then leave no edges of shadows on plain walls."""
 
-LAMPS = (0, 5)
-"""Least and greatest number of lamps of a scene, less one."""
+LAMPS = (0, 5)  # Least and greatest number of lamps of a scene, less one
 
 
 @dataclass(frozen=True)
