@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.scenes.materials import Material, pack_materials
+from omnisyn_cli.scenes.materials import NO_PHOTOS, Material, Photos, pack_materials
 from omnisyn_cli.scenes.palette import Colour, mixed
-from omnisyn_cli.scenes.photos import NO_PHOTOS, Photos
 
 Point = tuple[float, float, float]
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
+from omnisyn_cli.scenes.materials import PhotoMapping
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
-from omnisyn_cli.scenes.photos import PhotoMapping
 from omnisyn_cli.scenes.scene import Shape
 from omnisyn_cli.scenes.textures import FacePoint, is_hole, pattern_at
 
