@@ -12,7 +12,9 @@ from omnisyn_cli.cli import poses as commands
 from omnisyn_cli.interpolation.inputs import named_tour
 from omnisyn_cli.interpolation.planning import duration
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.poses.formats import CAMERA_AXES, EXPORT_FORMATS, IMPORT_FORMATS, WORLD_UP
+from omnisyn_cli.poses.formats import IMPORT_FORMATS
+from omnisyn_cli.poses.formats.files import CAMERA_AXES, WORLD_UP
+from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS
 
 TABLE = "image,lat,lng,heading\na.png,48.1,11.5,0\nb.png,48.10001,11.5,90\n"
 

@@ -14,7 +14,7 @@ from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
-from omnisyn_cli.training.fusion_losses import network_inputs
+from omnisyn_cli.training.losses import network_inputs
 from omnisyn_cli.types import Layer
 
 

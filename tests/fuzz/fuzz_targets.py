@@ -369,7 +369,8 @@ def _mesh(suffix: str) -> Target:
 
 
 def _foreign(name: str) -> Target:
-    from omnisyn_cli.poses.formats import ImportOptions, import_poses
+    from omnisyn_cli.poses.formats import import_poses
+    from omnisyn_cli.poses.formats.files import ImportOptions
 
     source, content = FOREIGN[name]
     files = content() if callable(content) else content

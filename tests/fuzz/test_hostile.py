@@ -18,7 +18,8 @@ from omnisyn_cli.errors import ImageError, InputError, PoseError
 from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import MAX_PIXELS, read_depth, read_panorama, write_image
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.poses.formats import ImportOptions, import_poses
+from omnisyn_cli.poses.formats import import_poses
+from omnisyn_cli.poses.formats.files import ImportOptions
 from omnisyn_cli.runtime.models import find_model
 from process_limits import STATUS, memory_taken
 

@@ -14,7 +14,8 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io import read_header, read_panorama
 from omnisyn_cli.io.decode import panorama_tags
 from omnisyn_cli.io.images import sphere_size
-from omnisyn_cli.poses.formats import ImportOptions, import_poses
+from omnisyn_cli.poses.formats import import_poses
+from omnisyn_cli.poses.formats.files import ImportOptions
 
 SIZE = (21, 40)
 

@@ -17,7 +17,7 @@ from omnisyn_cli.networks.fusion import (
     build_fusion,
     depth_ambiguity,
 )
-from omnisyn_cli.networks.paper_layers import upsample_linear
+from omnisyn_cli.networks.paper import upsample_linear
 
 
 def parameters(network):

@@ -6,8 +6,8 @@ from registration_samples import street_image, street_poses, unit
 
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.poses.registration.features import grey_of
-from omnisyn_cli.poses.registration.gravity import find_lines, find_vertical
 from omnisyn_cli.poses.registration.least_squares import angle_between
+from omnisyn_cli.poses.registration.scan import find_lines, find_vertical
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -13,9 +13,8 @@ from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_image
 from omnisyn_cli.scenes import generate_scene, pack_photos, render_panorama, sample_path
-from omnisyn_cli.scenes.materials import Material, Pattern, pack_materials
+from omnisyn_cli.scenes.materials import Material, Pattern, PhotoMapping, pack_materials
 from omnisyn_cli.scenes.noise import cell_hash
-from omnisyn_cli.scenes.photos import PhotoMapping
 from omnisyn_cli.scenes.shader import photo_at
 from omnisyn_cli.scenes.textures import FacePoint
 from omnisyn_cli.training.data import load_walk

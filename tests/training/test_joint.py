@@ -24,7 +24,6 @@ from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, save_checkpoint
 from omnisyn_cli.training.data import list_scene_files, save_samples
-from omnisyn_cli.training.fusion_losses import network_inputs
 from omnisyn_cli.training.joint import (
     JointAnswer,
     JointConfig,
@@ -36,6 +35,7 @@ from omnisyn_cli.training.joint import (
     joint_loss,
 )
 from omnisyn_cli.training.loop import Trainer, train
+from omnisyn_cli.training.losses import network_inputs
 from omnisyn_cli.training.pairs import draw_triples, swap_cameras
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig

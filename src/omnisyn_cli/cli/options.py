@@ -19,6 +19,16 @@ def all_of(*options: Callable[..., Any]) -> Callable[..., Any]:
     return lambda command: reduce(lambda decorated, option: option(decorated), reversed(options), command)
 
 
+def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
+    """An option whose default is shown."""
+    return click.option(name, default=default, show_default=True, help=what, **more)
+
+
+def whole_option(name: str, default: int, least: int, what: str) -> Callable[..., Any]:
+    """A whole number from ``least`` on."""
+    return defaulted(name, default, what, type=WholeRange(least))
+
+
 def listed(registry: Mapping[str, Any]) -> str:
     """What each strategy of a registry is."""
     return "; ".join(f"{name}: {strategy.help}" for name, strategy in registry.items())

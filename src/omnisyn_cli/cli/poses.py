@@ -26,7 +26,7 @@ from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.estimation import PictureOptions
-    from omnisyn_cli.poses.formats import Origin
+    from omnisyn_cli.poses.formats.files import Origin
 
     PlaceType = click.ParamType[Origin]
 else:
@@ -142,7 +142,9 @@ def import_(
     Every assumption is printed on stderr, one line each.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io.outputs import check_kept, check_output
-    from omnisyn_cli.poses.formats import ImportOptions, import_poses, write_imported
+    from omnisyn_cli.poses.formats import import_poses
+    from omnisyn_cli.poses.formats.files import ImportOptions
+    from omnisyn_cli.poses.formats.writers import write_imported
 
     check_kept([output], sources)
     check_output(output, overwrite)
@@ -173,7 +175,7 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io.outputs import check_kept
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.poses.formats import export_poses
+    from omnisyn_cli.poses.formats.writers import export_poses
 
     check_kept([output], [poses])
     pose_file = read_poses(poses, allow_outside=allow_outside)

@@ -8,9 +8,9 @@ import click
 
 from omnisyn_cli.cli import train_pools
 from omnisyn_cli.cli.lazy import PlainGroup
-from omnisyn_cli.cli.options import all_of
+from omnisyn_cli.cli.options import all_of, defaulted, whole_option
 from omnisyn_cli.cli.parameters import FiniteRange, WholeRange
-from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, defaulted, run_options, whole_option
+from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, run_options
 
 SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
 """Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
-from omnisyn_cli.cli.options import all_of, device_option
+from omnisyn_cli.cli.options import all_of, defaulted, device_option, whole_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 from omnisyn_cli.cli.terminal import say
@@ -28,16 +28,6 @@ MACHINE = (
     device_option("auto uses bfloat16 if the machine has it."),
 )
 """Options of all runs: where they compute."""
-
-
-def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
-    """An option whose default is shown."""
-    return click.option(name, default=default, show_default=True, help=what, **more)
-
-
-def whole_option(name: str, default: int, least: int, what: str) -> Callable[..., Any]:
-    """A whole number from ``least`` on."""
-    return defaulted(name, default, what, type=WholeRange(least))
 
 
 def _height_option(of: str, height: int = 256) -> Callable[..., Any]:
@@ -266,5 +256,4 @@ def _encoder(path: Path | None) -> Any:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)
-"""All of this module."""
+COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)  # All of this module

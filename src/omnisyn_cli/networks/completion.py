@@ -25,11 +25,8 @@ from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, init_small, initialise
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
-FILLED_CHANNEL = 3
-"""Input channel with the filled √(inverse depth × baseline) that is corrected."""
-
-CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6
-"""Input channels where matching is reliable: left-right consistent, or sky."""
+FILLED_CHANNEL = 3  # Input channel with the filled √(inverse depth × baseline) that is corrected
+CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6  # Input channels where matching is reliable: left-right consistent, or sky
 
 CORRECTION_SCALE = 0.3
 """Scale of the corrections. A small one lets a fresh network leave the filled map nearly as it is."""

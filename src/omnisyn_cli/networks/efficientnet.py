@@ -20,11 +20,8 @@ STAGES = (
 )  # fmt: skip
 """Repeats, kernel, stride of the first block, expansion, channels in and out."""
 
-TAPS = (0, 2, 4, 10, 15)
-"""Blocks whose output is a feature map: the last ones at strides 2, 4, 8, 16 and 32."""
-
-CHANNELS = (16, 24, 40, 112, 320)
-"""Of the feature maps at strides 2, 4, 8, 16 and 32."""
+TAPS = (0, 2, 4, 10, 15)  # Blocks whose output is a feature map: the last ones at strides 2, 4, 8, 16 and 32
+CHANNELS = (16, 24, 40, 112, 320)  # Of the feature maps at strides 2, 4, 8, 16 and 32
 
 STRIDE_CENTRE_OFFSETS = (1, 0, 1, 0, 1)
 """Where the outputs of each strided convolution are centred: on the left (0) or right (1) input of every two.
@@ -32,8 +29,7 @@ STRIDE_CENTRE_OFFSETS = (1, 0, 1, 0, 1)
 Alternating keeps the drift small: features at stride 4 lie half an input pixel before the centre of their block.
 """
 
-EPSILON = 1e-3
-"""Of batch normalisation, as the published weights were trained with."""
+EPSILON = 1e-3  # Of batch normalisation, as the published weights were trained with
 
 
 class FrozenBatchNorm(nn.Module):

@@ -19,27 +19,20 @@ from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, Ports, check_multiple
 from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
-from omnisyn_cli.networks.paper_layers import Block, upsample_linear
+from omnisyn_cli.networks.paper import RGB_CHANNELS, Block, upsample_linear
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 46)
 """Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 of the depth hypotheses."""
 
-MIN_SURFACE_DIFFERENCE = 0.06
-"""Relative difference of inverse depth between two depth hypotheses of different surfaces."""
+MIN_SURFACE_DIFFERENCE = 0.06  # Relative difference of inverse depth between two depth hypotheses of different surfaces
 
 MIN_INVERSE_DEPTH = 1e-3
 """Floor of inverse depth × baseline in relative differences: a thousandth moves a pixel by nothing."""
 
-INITIAL_LOGIT_GAP = 4.0
-"""A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is."""
-
-RGB_CHANNELS = 3
-"""Channels of a rendering; the direct network sees those of the first, then those of the second."""
-
-LOGIT_SCALE = 8.0
-"""Factor on the output of the last convolution, which begins at zero: it leaves that sooner."""
+INITIAL_LOGIT_GAP = 4.0  # A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is
+LOGIT_SCALE = 8.0  # Factor on the output of the last convolution, which begins at zero: it leaves that sooner
 
 
 @dataclass(frozen=True)

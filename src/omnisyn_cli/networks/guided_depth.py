@@ -23,32 +23,27 @@ from omnisyn_cli.geometry.sphere import pixel_to_direction
 from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
 from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
+from omnisyn_cli.networks.paper import upsample_linear
 
-STRIDE = 4
-"""Of the cost volume and of the guidance."""
+STRIDE = 4  # Of the cost volume and of the guidance
 
 GUIDANCE_CHANNELS = 6
 """√(inverse depth × baseline) of the best match, share of a cell that is left-right consistent, share that is sky, root
 of the filled map, the first of them where it is consistent, and whether there is guidance. All are zero where there is
 none."""
 
-SPHERES_AT_ONCE = 3
-"""Those that features are gathered for: their maps fit the cache of a processor."""
+SPHERES_AT_ONCE = 3  # Those that features are gathered for: their maps fit the cache of a processor
 
 FEATURE_SHIFT = -0.125
 """Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``."""
 
-LOG_SCALES = (-6.0, 2.0)
-"""Bounds of the log of the Laplace scale."""
-
-CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0
-"""Relative error of √(inverse depth) where depth is 10 % off."""
+LOG_SCALES = (-6.0, 2.0)  # Bounds of the log of the Laplace scale
+CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0  # Relative error of √(inverse depth) where depth is 10 % off
 
 GEOMETRY_CHANNEL_COUNT = 7
 """Channels: direction (3), cosine to the other camera, slope of the baseline, best cost, expected √(inverse depth)."""
 
-SHARPNESS = 8.0
-"""Factor on correlations before the softmax that the expected √(inverse depth) is weighted by."""
+SHARPNESS = 8.0  # Factor on correlations before the softmax that the expected √(inverse depth) is weighted by
 
 
 @dataclass(frozen=True)
@@ -69,8 +64,7 @@ class GuidedDepthConfig(NetworkConfig):
         return 32
 
 
-GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}
-"""The networks by name."""
+GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}  # The networks by name
 
 
 @dataclass(frozen=True)
@@ -260,7 +254,7 @@ class GuidedDepthNetwork(Network):
     def _matching_features(self, features: list[Tensor]) -> Float[Tensor, "batch features rows cols"]:
         """At a quarter of the size, from three strides."""
         _, at4, at8, at16, _ = features
-        x = self.lateral4(at4) + _enlarged(self.lateral8(at8), 2) + _enlarged(self.lateral16(at16), 4)
+        x = self.lateral4(at4) + upsample_linear(self.lateral8(at8), 2) + upsample_linear(self.lateral16(at16), 4)
         maps: Tensor = self.matched(x)
         return maps
 
@@ -297,12 +291,12 @@ class GuidedDepthNetwork(Network):
         x8 = self.down8(self.in8(torch.cat([self.to8(_halved(x4)), at8], dim=1)))
         x16 = self.down16(self.in16(torch.cat([self.to16(_halved(x8)), at16], dim=1)))
         x32 = self.middle(self.in32(torch.cat([self.to32(_halved(x16)), at32], dim=1)))
-        y = self.up16(torch.cat([_enlarged(x32, 2), x16], dim=1))
-        y = self.refine8(self.up8(torch.cat([_enlarged(y, 2), x8], dim=1)))
-        y = self.refine4(self.up4(torch.cat([_enlarged(y, 2), x4], dim=1)))
+        y = self.up16(torch.cat([upsample_linear(x32, 2), x16], dim=1))
+        y = self.refine8(self.up8(torch.cat([upsample_linear(y, 2), x8], dim=1)))
+        y = self.refine4(self.up4(torch.cat([upsample_linear(y, 2), x4], dim=1)))
         quarter = at_least_single(self.answer4(y))
-        z = self.refine2(self.up2(torch.cat([_enlarged(y, 2), at2], dim=1)))
-        half = at_least_single(self.answer2(z)) + _enlarged(quarter, 2)
+        z = self.refine2(self.up2(torch.cat([upsample_linear(y, 2), at2], dim=1)))
+        half = at_least_single(self.answer2(z)) + upsample_linear(quarter, 2)
         full = convex_upsample(half, at_least_single(self.upsampling(z)))
         most = self.config.max_sqrt_inv_depth
         return GuidedDepthPrediction(
@@ -328,9 +322,3 @@ def convex_upsample(
 
 def _halved(x: Tensor) -> Tensor:
     return functional.avg_pool2d(x, 2)
-
-
-def _enlarged(x: Tensor, factor: int) -> Tensor:
-    """Bilinear, over the seam."""
-    wide = functional.interpolate(wrap_columns(x, 1, 1), scale_factor=float(factor), mode="bilinear")
-    return wide[..., factor:-factor]

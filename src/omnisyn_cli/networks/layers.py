@@ -12,8 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-LEAK = 0.1
-"""Slope of every LeakyReLU below zero."""
+LEAK = 0.1  # Slope of every LeakyReLU below zero
 
 
 def wrap_columns(x: Float[Tensor, "*batch height width"], left: int, right: int) -> Tensor:

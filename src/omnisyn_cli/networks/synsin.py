@@ -23,11 +23,8 @@ from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, init_small, initialise
-from omnisyn_cli.networks.paper_layers import row_channel
+from omnisyn_cli.networks.paper import RGB_CHANNELS, row_channel
 from omnisyn_cli.networks.unet import Hourglass
-
-RGB_CHANNELS = 3
-"""Of a panorama."""
 
 INITIAL_SQRT_INV_DEPTH = 0.4
 """√(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large."""
@@ -56,8 +53,7 @@ class SynSinConfig(NetworkConfig):
         return int(2 ** max(len(self.depth_widths) + 1, len(self.decoder_widths)))
 
 
-SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}
-"""The networks by name."""
+SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}  # The networks by name
 
 
 def inverse_depth_of(sqrt_inv_depth: Tensor, config: SynSinConfig) -> Tensor:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -25,28 +26,25 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
+from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
-from omnisyn_cli.poses.registration.gravity import find_vertical
 from omnisyn_cli.poses.registration.least_squares import relative_pose
-from omnisyn_cli.poses.registration.pose_graph import (
-    Edge,
-    agreeing_edges,
-    average_rotations,
-    baseline_lengths,
-    consistent_edges,
-    placed_panoramas,
-    positions_of,
-    shortest_path,
-)
+from omnisyn_cli.poses.registration.pose_graph import Edge
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
-from omnisyn_cli.poses.registration.scan import Scan, forget_tables, likeness, register_pair, scan_panorama
+from omnisyn_cli.poses.registration.scan import (
+    Scan,
+    find_vertical,
+    forget_tables,
+    likeness,
+    register_pair,
+    scan_panorama,
+)
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
-DEFAULT_BASELINE = 1.0
-"""Metres between two panoramas where no baseline is given."""
+DEFAULT_BASELINE = 1.0  # Metres between two panoramas where no baseline is given
 
 FLOOR_QUANTILE = 0.75
 """Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it."""
@@ -120,9 +118,8 @@ def check_poses(
 ) -> Iterator[PairDiagnosis]:
     """Judge the poses of all neighbours, one after the other.
 
-    Raises:
-        InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used.
-        PoseError: no entry for one, or two of one name.
+    Raises InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used;
+    PoseError: no entry for one, or two of one name.
     """
     _check_images(images)
     check_names_tell_apart(images, pose_file)
@@ -132,7 +129,6 @@ def check_poses(
         matches = match_features(seen_by_a, seen_by_b)
         fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
         yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits, (a, b))
-    forget_tables()
 
 
 def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None) -> FoundPoses:
@@ -176,18 +172,18 @@ def estimate_poses(
         must_place_all: refuse panoramas that do not fit the others; else they are named and left out.
         finds_order: the order is looked for as well: a short way along pairs that match.
 
-    Raises:
-        InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks.
-        PoseError: too few matches, or no floor to measure the height from.
+    Raises InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks;
+    PoseError: too few matches, or no floor to measure the height from.
     """
     _check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
-    scans = list(_scans(images, options or PictureOptions()))
+    options = options or PictureOptions()
+    scans = [scan_panorama(*picture, options.threads) for picture in _usable_pictures(images, options)]
     graph = _solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
     edges, order = graph.edges, sorted(graph.poses)
     if finds_order:
-        order = shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
+        order = pose_graph.shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
     world, level_note = _levelled({k: graph.poses[k] for k in order}, scans)
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
@@ -214,24 +210,20 @@ def _solve_pose_graph(
 ) -> PoseGraph:  # fmt: skip
     """Rotations averaged over all pairs, positions from directions and lengths, then both adjusted to the matches."""
     matched, tried = _matched_edges(scans, is_ordered=is_ordered)
-    rotations = average_rotations(matched, placed_panoramas(matched, len(images)))
-    edges = consistent_edges(matched, rotations)
-    placed = placed_panoramas(edges, len(images))
+    rotations = pose_graph.average_rotations(matched, pose_graph.placed_panoramas(matched, len(images)))
+    edges = pose_graph.consistent_edges(matched, rotations)
+    placed = pose_graph.placed_panoramas(edges, len(images))
     if len(placed) < 2 or (must_place_all and len(placed) < len(images)):
         raise _unplaced(images, placed, tried, _partial_notes(images, scans))
     rotations = {k: rotations[k] for k in placed}
-    edges = agreeing_edges([edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered)
-    positions = positions_of(edges, *baseline_lengths(edges, given), rotations)
+    edges = pose_graph.agreeing_edges(
+        [edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered
+    )
+    positions = pose_graph.positions_of(edges, *pose_graph.baseline_lengths(edges, given), rotations)
     poses = {k: Pose(rotations[k], positions[k]) for k in placed}
     adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
     contradicting = sum(edge.first in placed for edge in matched) - len(edges)
     return PoseGraph(adjusted.poses if adjusted else poses, edges, contradicting, adjusted)
-
-
-def _scans(images: Sequence[Path], options: PictureOptions) -> Iterator[Scan]:
-    for image, mask in zip(images, _given_masks(images, options), strict=True):
-        yield scan_panorama(*_usable_picture(image, (mask,), options), options.threads)
-    forget_tables()
 
 
 def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], int]]:
@@ -257,7 +249,7 @@ def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edg
     for pair in sorted(wanted | neighbours):
         attempt(pair, is_thorough=pair in neighbours)
     for pair in [pair for pair in ranked if pair not in tried][: LIKE_PANORAMAS * count]:
-        placed = placed_panoramas(edges, count)
+        placed = pose_graph.placed_panoramas(edges, count)
         if len(placed) == count:
             break
         if (pair[0] in placed) != (pair[1] in placed):
@@ -352,33 +344,28 @@ def _views_with_features(
     images: Sequence[Path], entries: Sequence[PosedPanorama], options: PictureOptions
 ) -> Iterator[tuple[View, Features]]:
     """The panoramas one after the other: reduced, with their poses; and the features of the whole pictures."""
-    for image, entry, given in zip(images, entries, _given_masks(images, options), strict=True):
-        picture, usable = _usable_picture(image, (entry.mask, given), options)
+    pictures = _usable_pictures(images, options, [entry.mask for entry in entries])
+    for entry, (picture, usable) in zip(entries, pictures, strict=True):
         yield (
             View(resize_area(picture, FLOOR_SIZE), entry.pose, usable),
             find_features(picture, usable, options.threads),
         )
 
 
-def _given_masks(images: Sequence[Path], options: PictureOptions) -> Sequence[Path | None]:
+def _usable_pictures(
+    images: Sequence[Path], options: PictureOptions, masks: Sequence[Path | None] = ()
+) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+    """The panoramas one after the other, each with where it may be used: by the masks of poses and those given."""
     if options.masks and len(options.masks) != len(images):
         raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
-    return options.masks or (None,) * len(images)
-
-
-def _usable_picture(
-    image: Path, masks: Sequence[Path | None], options: PictureOptions
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """A panorama, and where it may be used."""
-    panorama = read_panorama(
-        image, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels, reading=options.reading
-    )
-    usable = usable_part(
-        panorama.mask, panorama.image.shape[:2], masks, options.nadir,
-        allow_aspect=options.allow_aspect, max_pixels=options.max_pixels,
-        reading=replace(options.reading, view_transform=False),
-    )  # fmt: skip
-    return panorama.image, usable
+    limits: dict[str, Any] = {"allow_aspect": options.allow_aspect, "max_pixels": options.max_pixels}
+    mask_reading = replace(options.reading, view_transform=False)
+    none = [None] * len(images)
+    for image, *both in zip(images, masks or none, options.masks or none, strict=True):
+        panorama = read_panorama(image, reading=options.reading, **limits)
+        size = panorama.image.shape[:2]
+        yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=mask_reading, **limits)
+    forget_tables()
 
 
 def _relative_uncertainty(first: int, second: int, graph: PoseGraph) -> PoseUncertainty:

@@ -31,49 +31,32 @@ from omnisyn_cli.poses.entries import (
     rigid_rotation,
 )
 
-POSES_NAME = "poses.json"
-"""What a pose file is called where a folder stands for its panoramas."""
+POSES_NAME = "poses.json"  # What a pose file is called where a folder stands for its panoramas
 
 VERSION = 1
 
-MAX_LISTED_NAMES = 8
-"""Names of panoramas in an error."""
-
-MAX_FILE_BYTES = 64 << 20
-"""Bytes; a hundred thousand panoramas need less."""
+MAX_LISTED_NAMES = 8  # Names of panoramas in an error
+MAX_FILE_BYTES = 64 << 20  # Bytes; a hundred thousand panoramas need less
 
 
 @dataclass(frozen=True)
 class PoseUncertainty:
-    """How well a pose is known relative to that of the entry before: one standard deviation.
+    """How well a pose is known relative to that of the entry before: one standard deviation."""
 
-    Attributes:
-        rotation: radians.
-        position: share of the distance between both, or None where they stand in one place.
-    """
-
-    rotation: float
-    position: float | None
+    rotation: float  # radians
+    position: float | None  # share of the distance between both, or None where they stand in one place
 
 
 @dataclass(frozen=True)
 class PosedPanorama:
-    """One panorama's entry.
+    """One panorama's entry, with its files if there are any."""
 
-    Attributes:
-        pose: camera-to-world, metres.
-        depth: its depth file, or None.
-        mask: its mask file, or None.
-        title, caption: what a tour calls it and says of it; empty where the file says nothing.
-        uncertainty: where the pose comes from pictures and the entry is not the first, else None.
-    """
-
-    pose: Pose
+    pose: Pose  # camera-to-world, metres
     depth: Path | None = None
     mask: Path | None = None
-    title: str = ""
-    caption: str = ""
-    uncertainty: PoseUncertainty | None = None
+    title: str = ""  # what a tour calls it; empty where the file says nothing, as the caption
+    caption: str = ""  # what a tour says of it
+    uncertainty: PoseUncertainty | None = None  # where the pose comes from pictures and the entry is not the first
 
     @property
     def companions(self) -> tuple[Path, ...]:
@@ -83,19 +66,13 @@ class PosedPanorama:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """What a pose file says.
-
-    Attributes:
-        path: the file.
-        panoramas: entries by image file name, or by path where that tells images apart, in the order of the file.
-        links: names of panoramas that a tour leads between; None where the file does not say.
-        is_geographic: whether it has places on earth, so that −z is north.
-    """
+    """What a pose file says."""
 
     path: Path
+    # entries by image file name, or by path where that tells images apart, in the order of the file
     panoramas: Mapping[str, PosedPanorama]
-    links: tuple[tuple[str, str], ...] | None = None
-    is_geographic: bool = False
+    links: tuple[tuple[str, str], ...] | None = None  # that a tour leads along; None where the file does not say
+    is_geographic: bool = False  # whether it has places on earth, so that −z is north
 
     def of(self, image_path: Path | str) -> PosedPanorama:
         """The entry of an image; PoseError: there is none; it names those there are."""
@@ -185,12 +162,8 @@ def write_poses(
     """Write a pose file, rotations as quaternions; an existing file is replaced.
 
     Depth and mask files lie in the folder of ``path``, or anywhere with ``allow_outside``; such a file can only be read
-    where that is allowed as well.
-
-    Raises:
-        PoseError: a name, pose or file that could not be read back.
-        OutputPathError: no folder to write into.
-        WriteError: the disk is full, or the folder went away.
+    where that is allowed as well. PoseError: a name, pose or file that could not be read back. OutputPathError: no
+    folder to write into. WriteError: the disk is full, or the folder went away.
     """
     target = Path(path)
     check_output(target, overwrite=True)

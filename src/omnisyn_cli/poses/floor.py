@@ -18,8 +18,7 @@ from omnisyn_cli.stereo.plane_sweep import AxisSweep, fit_plane, significant_sup
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import DepthEstimate, View
 
-FLOOR_SIZE = (256, 512)
-"""Height and width of the pair in which planes are found: twice that of the sweep, for the fit."""
+FLOOR_SIZE = (256, 512)  # Height and width of the pair in which planes are found: twice that of the sweep, for the fit
 
 MIN_FLOOR_SHARE = 0.4
 """A level plane may be the floor with this share of the support of the best one: furniture hides much of a floor.
@@ -81,8 +80,7 @@ class LevelSweep:
 def floor_heights(pairs: Sequence[tuple[View, View]]) -> list[float]:
     """How high the cameras of each pair that sees the floor stand above it, in the unit of the positions.
 
-    Args:
-        pairs: of one world whose y axis is up. All cameras are about equally high.
+    The y axis of the world is up, and all cameras are about equally high.
     """
     sweeps = [LevelSweep.of(*pair) for pair in pairs if not at_same_position(*(view.pose for view in pair))]
     if not sweeps:

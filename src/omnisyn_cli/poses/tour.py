@@ -155,12 +155,8 @@ def links_between(
     """Links that follow from positions: the relative neighbourhood graph.
 
     Two panoramas are linked unless a third one is nearer to both than they are to each other. So corridors become
-    chains and crossings stay crossings. The graph holds the shortest tree that connects all.
-
-    Args:
-        names: of the panoramas.
-        positions: of the panoramas, metres.
-        matched: pairs whose pictures match: others do not see each other and count as infinitely far. None: all do.
+    chains and crossings stay crossings. The graph holds the shortest tree that connects all. Where it is known which
+    pairs ``matched``, others do not see each other and count as infinitely far.
 
     Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
     """

@@ -29,29 +29,17 @@ from omnisyn_cli.geometry.sphere import angles_to_direction
 from omnisyn_cli.io.documents import listed, read_json, validated
 from omnisyn_cli.poses.entries import File, FirstVersion, LinkEntry, Model, Text, Vector
 from omnisyn_cli.poses.file import PoseFile, file_beside
-from omnisyn_cli.poses.tour import (
-    FloorPlan,
-    Hotspot,
-    Link,
-    StartView,
-    Tour,
-    TourPanorama,
-    chain_links,
-    links_between,
-)
+from omnisyn_cli.poses.tour import FloorPlan, Hotspot, Link, StartView, Tour, TourPanorama, chain_links, links_between
 
-TOUR_NAME = "tour.json"
-"""What the file is called where a folder stands for its panoramas."""
+TOUR_NAME = "tour.json"  # What the file is called where a folder stands for its panoramas
 
 MAX_FILE_BYTES = 16 << 20
 
-MAX_HOTSPOTS = 10_000
-"""Of a whole tour."""
+MAX_HOTSPOTS = 10_000  # Of a whole tour
 
 MAX_LINK_CHARS = 2000
 
-MIN_PIXELS_APART = 1.0
-"""Of the control points of a floor plan."""
+MIN_PIXELS_APART = 1.0  # Of the control points of a floor plan
 
 
 def _web_address(link: str) -> str:
@@ -117,18 +105,11 @@ def read_tour(
     path: Path | None, images: Sequence[Path], poses: PoseFile, title: str, *, is_chain: bool = False,
     allow_outside: bool = False,
 ) -> Tour:  # fmt: skip
-    """The tour through some panoramas.
+    """The tour through panoramas that have an entry in the pose file; ``path`` is ``tour.json``, if there is one.
 
-    Links are those of ``tour.json``, else of the pose file, else they follow from the positions. Links to panoramas
-    that are not among the images are left out.
-
-    Args:
-        path: ``tour.json``, or None without one.
-        images: the panoramas, each with an entry in the pose file.
-        poses: their poses.
-        title: of the tour unless the file has one.
-        is_chain: link every image to the next one instead.
-        allow_outside: accept pictures outside of the file's folder.
+    Links are those of ``tour.json``, else of the pose file, else they follow from the positions; with ``is_chain`` they
+    lead from every image to the next one instead. Links to panoramas that are not among the images are left out. The
+    file's own title replaces ``title``. With ``allow_outside`` its pictures may lie outside of its folder.
 
     Raises PoseError: no JSON, an unknown key, name or panorama, a link to itself, a picture that is missing.
     """

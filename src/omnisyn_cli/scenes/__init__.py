@@ -7,9 +7,9 @@ their pictures.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from omnisyn_cli.scenes.materials import Photos, pack_photos, with_photos
 from omnisyn_cli.scenes.panorama import render_panorama, render_views
 from omnisyn_cli.scenes.paths import sample_path
-from omnisyn_cli.scenes.photos import Photos, pack_photos, with_photos
 from omnisyn_cli.scenes.room import home, room
 from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.street import street

@@ -146,23 +146,12 @@ def _rows_of_desks(build: SceneBuilder, cell: Cell, occupied: OccupiedDisks) -> 
 
 
 def _place_on_floor(build: SceneBuilder, cell: Cell, use: str, occupied: OccupiedDisks) -> None:
-    """Stand something on the floor: of :func:`_floor_items`, the first that the dice allow and that finds room."""
+    """Stand something on the floor: the first item that the dice allow and that finds room."""
     rng = build.rng
     low, high = cell.low, cell.high
     x, z = rng.uniform(low[0] + 0.9, high[0] - 0.9), rng.uniform(low[1] + 0.9, high[1] - 0.9)
     dice, local = rng.random(), LocalFrame(build, (x, 0.0, z), rng.uniform(-math.pi, math.pi))
-    for limit, radius, add in _floor_items(cell, use):
-        if dice < limit and _is_free(occupied, x, z, radius):
-            add(local)
-            return
-    if cell.height > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
-        turned = replace(local, yaw=float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
-        furniture.stairs(turned, int(rng.integers(4, 12)))
-
-
-def _floor_items(cell: Cell, use: str) -> tuple[tuple[float, float, FurnitureMaker], ...]:
-    """What stands freely: limit of the dice, radius in metres, and what adds it."""
-    return (
+    items: tuple[tuple[float, float, FurnitureMaker], ...] = (  # limit of the dice, radius in metres, what adds it
         (0.45, 1.15, partial(_table_with_chairs, use=use)),
         (0.6, 0.55, furniture.armchair),
         (0.7, 0.4, furniture.chair),
@@ -170,6 +159,13 @@ def _floor_items(cell: Cell, use: str) -> tuple[tuple[float, float, FurnitureMak
         (0.86, 0.35, furniture.carton_pile),
         (0.93, 0.4, partial(_column, height=cell.height)),
     )
+    for limit, radius, add in items:
+        if dice < limit and _is_free(occupied, x, z, radius):
+            add(local)
+            return
+    if cell.height > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
+        turned = replace(local, yaw=float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
+        furniture.stairs(turned, int(rng.integers(4, 12)))
 
 
 def _table_with_chairs(local: LocalFrame, use: str) -> None:

@@ -19,11 +19,8 @@ from omnisyn_cli.scenes.room import room
 from omnisyn_cli.scenes.scene import Scene, Walkway
 from omnisyn_cli.scenes.street import street
 
-_MAX_ATTEMPTS = 400
-"""Paths that are drawn before a scene has no room for one. Set by hand."""
-
-_MAX_CLIMB = 2.0
-"""Metres of a path that goes straight up, unless more is asked for."""
+_MAX_ATTEMPTS = 400  # Paths that are drawn before a scene has no room for one. Set by hand.
+_MAX_CLIMB = 2.0  # Metres of a path that goes straight up, unless more is asked for
 
 _BASELINE_DECAY = 0.985
 """Factor on a baseline at every attempt, where it may be shortened: about a fifth is left after a hundred."""
@@ -64,7 +61,9 @@ def sample_path(
             if baseline is None and _is_too_long(scene, walkway, start, end):
                 continue
             shares = np.linspace(0.0, 1.0, frames)[:, None]
-            return [Pose(_draw_rotation(rng, heading, tilt), position) for position in start + shares * (end - start)]
+            level = rotation_from_heading(heading)
+            positions = start + shares * (end - start)
+            return [Pose(random_rotation(rng, tilt) if tilt > 0.0 else level, position) for position in positions]
     raise ValueError(f"expected room for a path, found none in {_MAX_ATTEMPTS} attempts: try a shorter baseline")
 
 
@@ -128,23 +127,15 @@ def _draw_segment(
     return start, end
 
 
-def _draw_rotation(rng: np.random.Generator, heading: float, tilt: float) -> Float[np.ndarray, "3 3"]:
-    if tilt <= 0.0:
-        return rotation_from_heading(heading)
+def random_rotation(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
+    """How a camera is held with any heading, and pitch and roll of a standard deviation in radians."""
     return rotation_from_heading(rng.uniform(-math.pi, math.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
 
 
-STANDARD_KINDS = ("street", "room")
-"""Generators of the standard set; others may come, these stay what they are."""
-
-SUITE_SEEDS = (9_000_001, 9_000_002)
-"""Far beyond those that networks are trained with."""
-
-BASELINES = (1.0, 2.0, 4.0, 6.0)
-"""Metres from the first to the last panorama, ascending."""
-
-FRAMES_PER_WALK = 5
-"""Two inputs, and three true frames at equal distances between them."""
+STANDARD_KINDS = ("street", "room")  # Generators of the standard set; others may come, these stay what they are
+SUITE_SEEDS = (9_000_001, 9_000_002)  # Far beyond those that networks are trained with
+BASELINES = (1.0, 2.0, 4.0, 6.0)  # Metres from the first to the last panorama, ascending
+FRAMES_PER_WALK = 5  # Two inputs, and three true frames at equal distances between them
 
 POSITION_DECIMALS = 6
 """Decimals of the ends in metres: micrometres, far coarser than the arithmetic of two machines may differ."""

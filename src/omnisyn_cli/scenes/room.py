@@ -24,11 +24,8 @@ EXTRAS = (
 )  # fmt: skip
 """What stands around in the room that is looked at most."""
 
-BASELINE_RANGE = (0.25, 8.0)
-"""Shortest and longest distance between the first and the last camera, metres."""
-
-MAX_BASELINE_IN_DEPTHS = 3.0
-"""Longest baseline, in multiples of the depth of the nearest surface."""
+BASELINE_RANGE = (0.25, 8.0)  # Shortest and longest distance between the first and the last camera, metres
+MAX_BASELINE_IN_DEPTHS = 3.0  # Longest baseline, in multiples of the depth of the nearest surface
 
 Grid = dict[tuple[int, int], tuple[Cell, Openings]]
 """Rooms with their openings by column and row."""
@@ -172,10 +169,7 @@ def _floor_plan(rng: np.random.Generator) -> Grid:
     xs, zs = (np.cumsum(rng.uniform(2.3, 5.5, rng.integers(2, most))) for most in (5, 4))
     xs, zs = xs - xs.mean(), zs - zs.mean()
     rooms: Grid = {
-        (i, j): (
-            Cell((xs[i], zs[j]), (xs[i + 1], zs[j + 1]), height),
-            {"west": [], "east": [], "south": [], "north": []},
-        )
+        (i, j): (Cell((xs[i], zs[j]), (xs[i + 1], zs[j + 1]), height), {name: [] for name in WALLS})
         for i, j in product(range(len(xs) - 1), range(len(zs) - 1))
     }
     for (i, j), (cell, openings) in rooms.items():

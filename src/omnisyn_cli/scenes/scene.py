@@ -15,14 +15,12 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.scenes.materials import Material, pack_materials
+from omnisyn_cli.scenes.materials import NO_PHOTOS, Material, Photos, pack_materials
 from omnisyn_cli.scenes.palette import Colour, mixed
-from omnisyn_cli.scenes.photos import NO_PHOTOS, Photos
 
 Point = tuple[float, float, float]
 
-SEGMENTS = 24
-"""Around what is round; a radius is at most 0.9 % too short between them."""
+SEGMENTS = 24  # Around what is round; a radius is at most 0.9 % too short between them
 
 
 class Shape(IntEnum):
@@ -96,8 +94,7 @@ def triangles(
     return points.astype(np.float32), corners.astype(np.int32), owner, axis
 
 
-GROUND_REACH = 1000.0
-"""Metres from the origin to the edge of the ground."""
+GROUND_REACH = 1000.0  # Metres from the origin to the edge of the ground
 
 
 class Lighting(NamedTuple):

@@ -6,19 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
+from omnisyn_cli.scenes.materials import PhotoMapping
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
-from omnisyn_cli.scenes.photos import PhotoMapping
 from omnisyn_cli.scenes.scene import Shape
 from omnisyn_cli.scenes.textures import FacePoint, is_hole, pattern_at
 
-PATCHES_PER_PHOTO = 0.6
-"""Patches of the ground whose texture is turned, per width of a photograph; chosen by eye."""
+PATCHES_PER_PHOTO = 0.6  # Patches of the ground whose texture is turned, per width of a photograph; chosen by eye
 
 SLANT_EXPONENT = 0.75
 """How the footprint grows with the slant: 1 blurs a photograph to its long side, 0.5 to the mean of both sides."""
 
-SHADOW_RAY_OFFSET = 1e-3
-"""Metres between a surface and the start of its shadow ray, so that it does not shadow itself."""
+SHADOW_RAY_OFFSET = 1e-3  # Metres between a surface and the start of its shadow ray, so that it does not shadow itself
 
 
 class Surfaces(NamedTuple):

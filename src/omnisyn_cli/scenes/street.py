@@ -16,8 +16,7 @@ from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame, Scene, SceneBuilder, Shape, Walkway, daylight
 
-STREET_HALF_LENGTH = 85.0
-"""Half the length of the street, metres."""
+STREET_HALF_LENGTH = 85.0  # Half the length of the street, metres
 
 
 @dataclass(frozen=True)

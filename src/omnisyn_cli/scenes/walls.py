@@ -73,8 +73,7 @@ def low_texture_finish(rng: np.random.Generator, use: str) -> Material:
     )  # fmt: skip
 
 
-SLAB_THICKNESS = 0.06
-"""Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""
+SLAB_THICKNESS = 0.06  # Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,7 @@ class Opening:
     top: float
 
 
-WALLS = ("west", "east", "south", "north")
-"""Low and high x, low and high z."""
+WALLS = ("west", "east", "south", "north")  # Low and high x, low and high z
 
 Openings = dict[str, list[Opening]]
 """By wall."""

@@ -25,14 +25,12 @@ REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 KEPT_KEYS = ("kind", "network", "training", "step", "scores", "best", "pool", "curve")
 """What compact ones keep besides weights, as far as there is any."""
 
-MAX_REASON_CHARS = 200
-"""Characters of what torch says that are passed on."""
+MAX_REASON_CHARS = 200  # Characters of what torch says that are passed on
 
 SEARCH_PATTERNS = ("[!.]*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/[!.]*.pt", "*/checkpoints/[!.]*.pt")
 """Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom."""
 
-SYNSIN = "synsin"
-"""The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …"""
+SYNSIN = "synsin"  # The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …
 
 
 @dataclass(frozen=True)

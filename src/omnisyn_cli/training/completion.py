@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import distance_between
@@ -23,11 +22,8 @@ from omnisyn_cli.training.data import Array, Augmentation, load_samples, save_sa
 from omnisyn_cli.training.scene_makers import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
-ORDERED_PAIRS = 4
-"""Ordered pairs per scene."""
-
-COLOUR_CHANNELS = (0, 8, 11)
-"""First of the three channels of each picture."""
+ORDERED_PAIRS = 4  # Ordered pairs per scene
+COLOUR_CHANNELS = (0, 8, 11)  # First of the three channels of each picture
 
 
 @dataclass(frozen=True)
@@ -37,11 +33,6 @@ class FeatureBatch:
     channels: Float[Array, "*batch channels height width"]  # see stereo_features
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # true √(inverse depth × baseline); NaN where it is not known
     baseline: Float[Array, "*batch"]  # metres
-
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What a network sees."""
-        return (self.channels,)
 
 
 def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:

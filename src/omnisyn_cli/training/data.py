@@ -31,8 +31,7 @@ Sample = TypeVar("Sample")
 REQUIRED_ARRAYS = {"pool": "positions_0", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
 """By the command that makes a kind of pool, an array that only its files have."""
 
-MAX_SURFACE_STEP = 0.1
-"""Relative difference of inverse depth between neighbouring pixels of one surface."""
+MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbouring pixels of one surface
 
 
 @dataclass(frozen=True)
@@ -67,9 +66,7 @@ class Augmentation:
 def save_samples(path: Path, samples: Sequence[Any]) -> None:
     """Write dataclasses of arrays and numbers, whole or not at all; a kill leaves no partial file under the name.
 
-    Raises:
-        WriteError: the disk is full, or the folder went away.
-        OutputPathError: the folder cannot be made.
+    Raises WriteError: the disk is full, or the folder went away; OutputPathError: the folder cannot be made.
     """
     arrays = {f"{name}_{k}": value for k, sample in enumerate(samples) for name, value in vars(sample).items()}
     make_folder(path.parent, "a pool")
@@ -137,11 +134,7 @@ def stacked(samples: Sequence[Sample]) -> Sample:
 
 
 def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
-    """All scenes of a pool in a fixed order.
-
-    Args:
-        folder: of the pool.
-        maker: command that such pools are made by, of :data:`REQUIRED_ARRAYS`.
+    """All scenes of a pool in a fixed order; such pools are made by the command ``maker``.
 
     Raises InputError: there are none, they are of another kind, or the first one is damaged.
     """

@@ -75,8 +75,7 @@ DIFFERENCE_CHANNELS = (
 WINDOW_DIVISOR = 4
 """Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter."""
 
-MIN_RELEVANCE = 1e-3
-"""Relevance of a column without any, so that windows are drawn there as well, now and then."""
+MIN_RELEVANCE = 1e-3  # Relevance of a column without any, so that windows are drawn there as well, now and then
 
 MIN_HYPOTHESIS_GAP, HYPOTHESIS_RELEVANCE = 0.05, 0.3
 """Difference of √(inverse depth × baseline) between depth hypotheses that matters, and its relevance beside that of a

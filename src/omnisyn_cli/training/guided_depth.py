@@ -17,13 +17,12 @@ from torch.nn import functional
 
 from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 from omnisyn_cli.training.losses import polar_weights, signed_error
 from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
+from omnisyn_cli.training.pairs import turned_table
 from omnisyn_cli.training.walks import baseline_ratios
 
 MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
@@ -58,11 +57,6 @@ class GuidedBatch:
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline); NaN where it is not known
     ratio: Float[Array, "*batch"]  # baseline over median depth
     is_mesh: Bool[Array, "*batch"]  # whether the scene is a mesh
-
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What the network sees."""
-        return self.first, self.second, self.towards, self.guidance
 
 
 def draw_guided(
@@ -159,21 +153,15 @@ def _held_by_hand(
     held = rotation_from_rotation_vector(tilt)
     first, second = images
     if is_tilted:
-        first = _turned(first.shape[:2], held).bilinear(np.ascontiguousarray(first))
-        inverse_depth = _turned(inverse_depth.shape, held).nearest(np.ascontiguousarray(inverse_depth))
-        table = _turned(matching.shape[1:], held)
+        first = turned_table(first.shape[:2], held).bilinear(np.ascontiguousarray(first))
+        inverse_depth = turned_table(inverse_depth.shape, held).nearest(np.ascontiguousarray(inverse_depth))
+        table = turned_table(matching.shape[1:], held)
         matching = np.stack([table.nearest(np.ascontiguousarray(each)) for each in matching])
     if is_tilted or wrong.any():
         turn = held @ error
-        second = _turned(second.shape[:2], turn).bilinear(np.ascontiguousarray(second))
+        second = turned_table(second.shape[:2], turn).bilinear(np.ascontiguousarray(second))
     noisy_direction = held.T @ towards + wrong
     return np.stack([first, second]), inverse_depth, matching, noisy_direction / np.linalg.norm(noisy_direction)
-
-
-def _turned(size: tuple[int, ...], rotation: np.ndarray) -> RemapTable:
-    """Where a camera turned by a rotation sees what one of this size shows."""
-    height, width = size
-    return RemapTable.for_directions(pixel_directions(height, width) @ rotation.T, (height, width))
 
 
 def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor:

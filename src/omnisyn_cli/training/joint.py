@@ -34,16 +34,12 @@ from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
-from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, network_inputs
-from omnisyn_cli.training.losses import depth_scores, paper_loss
+from omnisyn_cli.training.losses import depth_scores, fusion_loss, fusion_scores, network_inputs, paper_loss
 from omnisyn_cli.training.pairs import Triples, swap_cameras
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 
-FUSION_WEIGHT = 1.0
-"""Weight of the picture's loss beside that of the depth: both count the same."""
-
-BASELINE_DIRECTION = np.array([0.0, 0.0, -1.0])
-"""Direction from the first to the second camera in the forward frame."""
+FUSION_WEIGHT = 1.0  # Weight of the picture's loss beside that of the depth: both count the same
+BASELINE_DIRECTION = np.array([0.0, 0.0, -1.0])  # Direction from the first to the second camera in the forward frame
 
 
 @dataclass(frozen=True)

@@ -30,22 +30,14 @@ from omnisyn_cli.training.tasks import HELD_OUT_LOSS, TASKS, NetworkConfig, Trai
 CHECKPOINT, BEST_CHECKPOINT, LOG = "checkpoint.pt", "best.pt", "log.jsonl"
 """Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation."""
 
-COLLAPSE_LOSS_RATIO = 1.25
-"""Ratio of the loss to the least so far from which on the run does not recover."""
-
-PROCESSOR = Precision(torch.device("cpu"))
-"""The processor in single precision."""
+COLLAPSE_LOSS_RATIO = 1.25  # Ratio of the loss to the least so far from which on the run does not recover
+PROCESSOR = Precision(torch.device("cpu"))  # The processor in single precision
 
 
 class Trainer:
-    """Network, average, optimiser and step: what a checkpoint holds.
+    """Network, average, optimiser and step: what a checkpoint holds."""
 
-    Attributes:
-        judged_by: name of the figure that is least where the network is best.
-        pool: scenes to learn from.
-    """
-
-    judged_by = HELD_OUT_LOSS
+    judged_by = HELD_OUT_LOSS  # name of the figure that is least where the network is best
 
     def __init__(self, network: NetworkConfig, config: TrainConfig, precision: Precision = PROCESSOR) -> None:
         torch.manual_seed(config.seed)
@@ -59,7 +51,7 @@ class Trainer:
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
         self.scores: dict[str, float] = {}
-        self.pool = list[Path]()
+        self.pool = list[Path]()  # scenes to learn from
         self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
         self.drawn: tuple[int, Future[Any]] | None = None
         self.best = math.inf

@@ -21,8 +21,7 @@ from omnisyn_cli.geometry.sweep import forward_frame, swap_cameras_in_forward_fr
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 
-MAX_SURFACE_STEP = 0.05
-"""Relative difference of interpolated and nearest depth up to which both are of one surface."""
+MAX_SURFACE_STEP = 0.05  # Relative difference of interpolated and nearest depth up to which both are of one surface
 
 
 @dataclass(frozen=True)
@@ -33,11 +32,6 @@ class Batch:
     second: Float[Array, "*batch 3 height width"]
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline) of the first; NaN: not known
     baseline: Float[Array, "*batch"]  # metres
-
-    @property
-    def inputs(self) -> tuple[Tensor, ...]:
-        """What a network sees."""
-        return self.first, self.second
 
 
 @dataclass(frozen=True)
@@ -104,7 +98,7 @@ def _pair(
         turned_depth(np.sqrt(data.at_block_centres(each, whole) * baseline).clip(max=most), frame.rotation, size)
         for each in inverse_depths[[0, -1]]
     ]
-    table = _table(whole, frame.rotation, whole)
+    table = turned_table(whole, frame.rotation)
     pair = {
         "first": turned_image(shown[0], table, size),
         "second": turned_image(shown[1], table, size),
@@ -117,7 +111,7 @@ def _pair(
         "first_texture": turned_image(textures[0], table, size),
         "second_texture": turned_image(textures[1], table, size),
         "second_sqrt_inv_depth": swap_cameras_in_forward_frame(depths[1])[None],
-        "middle": turned_image(colours[1], _table(colours.shape[1:3], frame.rotation, colours.shape[1:3]), size),
+        "middle": turned_image(colours[1], turned_table(colours.shape[1:3], frame.rotation), size),
         "position": np.float32(np.linalg.norm(positions[1] - positions[0]) / baseline),
     }
 
@@ -131,6 +125,11 @@ def _ordered_views(walk: Walk, views: int, rng: np.random.Generator) -> tuple[np
     if rng.random() < 0.5:
         return images[:, :, ::-1], inverse_depths[:, :, ::-1], positions * [-1.0, 1.0, 1.0]
     return images, inverse_depths, positions.astype(np.float64)
+
+
+def turned_table(size: tuple[int, ...], rotation: np.ndarray, source: tuple[int, ...] | None = None) -> RemapTable:
+    """Where a panorama, of a size ``source`` or of the same, shows what a turned camera sees in its pixels."""
+    return RemapTable.for_directions(pixel_directions(size[0], size[1]) @ rotation.T, source or size)
 
 
 def turned_image(
@@ -147,15 +146,10 @@ def turned_depth(
 
     What is not known (NaN) stays so.
     """
-    table = _table(size, rotation, sqrt_inv_depth.shape)
+    table = turned_table(size, rotation, sqrt_inv_depth.shape)
     source = np.ascontiguousarray(sqrt_inv_depth, np.float32)
     smooth, nearest = table.bilinear(source), table.nearest(source)
     return np.where(np.abs(smooth - nearest) <= MAX_SURFACE_STEP * nearest, smooth, nearest)
-
-
-def _table(size: tuple[int, ...], rotation: np.ndarray, source: tuple[int, ...]) -> RemapTable:
-    """Where a panorama of a size ``source`` shows what a camera turned by a rotation sees in its pixels."""
-    return RemapTable.for_directions(pixel_directions(size[0], size[1]) @ rotation.T, source)
 
 
 def _relight(

@@ -11,8 +11,7 @@ MAX_SHOWN_ERROR = 0.25
 NEAR_PERCENTILE = 99.0
 """Percentile of the truth that has the last colour: a few pixels at the nadir would take the whole scale."""
 
-SHEET_GAP_PIXELS = 4
-"""Pixels between the pictures of a sheet."""
+SHEET_GAP_PIXELS = 4  # Pixels between the pictures of a sheet
 
 
 def depth_pictures(

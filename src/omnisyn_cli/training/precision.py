@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import torch
 
 from omnisyn_cli.errors import InputError
-
-DEVICES = ("auto", "cpu", "cuda")
-"""Where users can ask for training to run."""
+from omnisyn_cli.pipeline.config import DEVICES
 
 BF16_INSTRUCTIONS = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
 """Questions to :mod:`torch.cpu`, not all of which every version of torch knows: whether there are instructions that

@@ -19,8 +19,7 @@ from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.synsin import blend_points, draw_views
 from omnisyn_cli.training.tasks import TASKS, Task, TrainConfig, parts_of, role_of
 
-COMPARED_EXAMPLES = 3
-"""Examples of each kind that torch and ONNX Runtime are compared on."""
+COMPARED_EXAMPLES = 3  # Examples of each kind that torch and ONNX Runtime are compared on
 
 Examples = Iterator[tuple[np.ndarray, ...]]
 
@@ -48,17 +47,10 @@ def publish(
 ) -> list[tuple[ModelEntry, float]]:
     """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
 
-    Args:
-        checkpoint: of :func:`omnisyn_cli.training.loop.train`.
-        folder: gets ``NAME.onnx`` (of several networks ``NAME-ROLE.onnx``) and a new manifest.
-        name: ``ROLE-VARIANT`` unless given (``synsin``).
-        pool: scenes to compare on, besides random inputs; of networks trained together only the depth.
-        training: on what and for how long, for the manifest.
-        licence: of the weights.
-        overwrite: replace models of the same names.
-
-    Returns:
-        The entries of the manifest, each with the largest relative difference found.
+    The folder gets ``NAME.onnx`` (of several networks ``NAME-ROLE.onnx``) and a new manifest, which says on what and
+    for how long they were trained (``training``). The name is ``ROLE-VARIANT`` unless given (``synsin``). Besides
+    random inputs they are compared on scenes of a ``pool``; of networks trained together only the depth is. The answer
+    is the entries of the manifest, each with the largest relative difference found.
 
     Raises:
         InputError: no checkpoint, no scenes, or a name that is a path.

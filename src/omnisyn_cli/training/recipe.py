@@ -29,26 +29,13 @@ from omnisyn_cli.training.scene_makers import scene_path
 from omnisyn_cli.training.tasks import TASKS, TrainConfig
 from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk
 
-KIND = "guided"
-"""Of the networks that recipes train, see :data:`omnisyn_cli.training.tasks.TASKS`."""
-
-SCENE_FOLDER, VALIDATION_FOLDER = "walks", "validation-walks"
-"""Folders of scenes in the folder of a run."""
-
-CURVE, LATEST_CHECKPOINT = "curve.csv", "latest.pt"
-"""Files there, besides those of every run."""
-
-VALIDATION_SEED = 1_000_000
-"""Of the first scene to be judged by; scenes to learn from have smaller ones."""
-
-VALIDATION_KINDS = (MESH, "home", MESH, "street", MESH, "room", MESH)
-"""Kinds of scenes to be judged by, in turn."""
-
-SHOWN = 5
-"""Pairs that a picture of the run shows."""
-
-EARLY_STEPS = 3
-"""Steps until the next of the early scenes."""
+KIND = "guided"  # Of the networks that recipes train, see :data:`omnisyn_cli.training.tasks.TASKS`
+SCENE_FOLDER, VALIDATION_FOLDER = "walks", "validation-walks"  # Folders of scenes in the folder of a run
+CURVE, LATEST_CHECKPOINT = "curve.csv", "latest.pt"  # Files there, besides those of every run
+VALIDATION_SEED = 1_000_000  # Of the first scene to be judged by; scenes to learn from have smaller ones
+VALIDATION_KINDS = (MESH, "home", MESH, "street", MESH, "room", MESH)  # Kinds of scenes to be judged by, in turn
+SHOWN = 5  # Pairs that a picture of the run shows
+EARLY_STEPS = 3  # Steps until the next of the early scenes
 
 
 @dataclass(frozen=True)
@@ -111,8 +98,7 @@ class Recipe:
 def read_recipe(path: Path) -> Recipe:
     """A recipe from a TOML file; its keys are the attributes of :class:`Recipe`, with ``[[stages]]``.
 
-    Raises:
-        InputError: no such file, no TOML, or unknown, missing or impossible values.
+    Raises InputError: no such file, no TOML, or unknown, missing or impossible values.
     """
     try:
         values = tomllib.loads(read_text(path, "a recipe", error=InputError))

@@ -19,16 +19,16 @@ from jaxtyping import Float
 
 from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_from_heading, rotation_from_rotation_vector
+from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.io import read_photographs
 from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_panorama, sample_path
+from omnisyn_cli.scenes.paths import random_rotation
 from omnisyn_cli.training.data import Walk
 from omnisyn_cli.types import DepthEstimate, View
 
-PATH_STOPS = 9
-"""Positions along a path that views are drawn from; the ends are always taken."""
+PATH_STOPS = 9  # Positions along a path that views are drawn from; the ends are always taken
 
 
 @dataclass(frozen=True)
@@ -116,11 +116,6 @@ def _lower_priority() -> None:
         os.nice(19)
 
 
-def random_rotation(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
-    """How a camera is held with any heading, and pitch and roll of a standard deviation in radians."""
-    return rotation_from_heading(rng.uniform(-np.pi, np.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
-
-
 def noisy_pose(pose: Pose, error: float, rng: np.random.Generator) -> Pose:
     """A pose as it is said to be, wrong by rotations of a standard deviation in radians."""
     return Pose(pose.rotation @ rotation_from_rotation_vector(error * rng.standard_normal(3)), pose.position)
@@ -132,7 +127,7 @@ def take_photograph(
 ) -> View:  # fmt: skip
     """A panorama taken by hand: with the pose it is said to have, and the inverse depth at the centre of each pixel.
 
-    See :func:`random_rotation` for ``tilt``, :func:`noisy_pose` for ``error``; a pixel has ``supersample``² samples.
+    ``tilt`` is as in :func:`random_rotation`, ``error`` as in :func:`noisy_pose`; a pixel has ``supersample``² samples.
     """
     pose = Pose(random_rotation(rng, tilt), position)
     image, depth = render_panorama(scene, pose, size, supersample=supersample, threads=1)

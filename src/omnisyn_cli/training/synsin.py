@@ -91,8 +91,7 @@ def _varied(sample: ViewSample, rng: np.random.Generator) -> ViewSample:
     return ViewSample(images, sqrt_inv_depths, poses, truth)
 
 
-DEPTH_WEIGHT = 0.5
-"""Weight of the absolute error of √(inverse depth) beside that of colours."""
+DEPTH_WEIGHT = 0.5  # Weight of the absolute error of √(inverse depth) beside that of colours
 
 
 @dataclass(frozen=True)

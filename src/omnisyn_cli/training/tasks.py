@@ -27,7 +27,7 @@ from omnisyn_cli.networks.guided_depth import (
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
-from omnisyn_cli.training import fusion_losses, joint, losses, synsin
+from omnisyn_cli.training import joint, losses, synsin
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
 from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
@@ -36,11 +36,8 @@ from omnisyn_cli.training.pairs import draw_pairs, draw_triples
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
 
-VALIDATION_SEED = 1
-"""Of the draws of held-out batches: the same in every run, so that losses can be compared."""
-
-HELD_OUT_LOSS = "held_out_loss"
-"""Name among the figures of the loss of what networks are judged by."""
+VALIDATION_SEED = 1  # Of the draws of held-out batches: the same in every run, so that losses can be compared
+HELD_OUT_LOSS = "held_out_loss"  # Name among the figures of the loss of what networks are judged by
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,8 @@ class Task:
     draw: Callable[[list[Path], np.random.Generator, TrainConfig, Any, Augmentation | None], Any]
     loss: Callable[[Any, Any], Tensor]  # of an answer to a batch, a scalar
     scores: Callable[[Any, Any], dict[str, float]]  # figures of an answer to a batch
-    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: batch.inputs  # of a network and a batch
+    # what a network is shown of a batch: both panoramas of pairs
+    inputs: Callable[[Any, Any], tuple[Tensor, ...]] = lambda network, batch: (batch.first, batch.second)
     answer: Callable[[Any, Any], Any] | None = None  # of a network to a batch; None calls it with ``inputs``
     pictures: Callable[[Any, Any], dict[str, np.ndarray]] | None = None  # RGB in [0, 1] by name; None: nobody looks
     held_out: Callable[[Path, int, TrainConfig], Any] | None = None
@@ -178,6 +176,7 @@ TASKS: Mapping[str, Task] = {
         draw=lambda pool, rng, stage, network, varied: draw_guided(
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
+        inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
         loss=guided_loss,
         scores=guided_scores,
         pictures=_guided_pictures,
@@ -190,6 +189,7 @@ TASKS: Mapping[str, Task] = {
         draw=lambda pool, rng, stage, _, varied: draw_completion(
             pool, rng, stage.batch, stage.size, augment=varied is not None
         ),
+        inputs=lambda _, batch: (batch.channels,),
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
         scores=_completion_scores,
         pictures=_completion_pictures,
@@ -200,12 +200,10 @@ TASKS: Mapping[str, Task] = {
         FUSION_VARIANTS,
         build_fusion,
         draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
-        inputs=lambda network, batch: (fusion_losses.network_inputs(network.config, batch.channels),),
-        answer=lambda network, batch: fusion_losses.fuse_with(network, batch.channels, batch.pictures),
-        loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth, batch.fused_error),
-        scores=lambda answer, batch: fusion_losses.fusion_scores(
-            answer, batch.channels, batch.truth, batch.pictures[:, :3]
-        ),
+        inputs=lambda network, batch: (losses.network_inputs(network.config, batch.channels),),
+        answer=lambda network, batch: losses.fuse_with(network, batch.channels, batch.pictures),
+        loss=lambda answer, batch: losses.fusion_loss(answer, batch.truth, batch.fused_error),
+        scores=lambda answer, batch: losses.fusion_scores(answer, batch.channels, batch.truth, batch.pictures[:, :3]),
         held_out=lambda path, turn, _: stacked(load_samples(path, FusionBatch, turn)),
         pool="fusion-pool",
     ),

@@ -17,22 +17,18 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.scenes import GENERATORS, render_panorama
-from omnisyn_cli.scenes.mesh import MeshCaster, MeshScene, draw_lighting, find_walk, render_mesh, varied_mesh
+from omnisyn_cli.scenes.mesh.places import find_walk
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting, render_mesh
+from omnisyn_cli.scenes.mesh.texturing import SurfaceColours, varied_mesh
 from omnisyn_cli.training.data import Walk, save_samples
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
 from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, photographs, scene_path, walk_of
 
-MESH = "mesh"
-"""Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`."""
-
-ATTEMPTS = 12
-"""Seeds that are tried for a walk before the kind is given up."""
-
-LIGHT_RAYS = 16
-"""Directions that every point of a mesh asks for light."""
-
-MIN_MEAN_BRIGHTNESS = 0.06
-"""Mean of a picture below which a walk is dropped."""
+MESH = "mesh"  # Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`
+ATTEMPTS = 12  # Seeds that are tried for a walk before the kind is given up
+LIGHT_RAYS = 16  # Directions that every point of a mesh asks for light
+MIN_MEAN_BRIGHTNESS = 0.06  # Mean of a picture below which a walk is dropped
 
 
 @dataclass(frozen=True)
@@ -164,7 +160,7 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
     poses = find_walk(caster, rng, config.views)
     if poses is None:
         return None
-    scene = MeshScene.of(mesh, draw_lighting(caster, rng, poses[0].position, LIGHT_RAYS), caster)
+    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, poses[0].position, LIGHT_RAYS))
     walk = mesh_walk(scene.exposed_at(poses[0]), poses, config.size, config.supersample)
     is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * MIN_MEAN_BRIGHTNESS
     return None if is_dark else walk

@@ -10,7 +10,8 @@ import OpenImageIO
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_pixel
-from omnisyn_cli.poses.formats import ImportedPoses, ImportOptions, import_poses
+from omnisyn_cli.poses.formats import import_poses
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions
 
 SIZE = (512, 1024)
 """``(height, width)`` in which pixels are compared; no such image exists."""

@@ -13,7 +13,7 @@ from omnisyn_cli.errors import ImageError, OutputPathError, PoseError
 from omnisyn_cli.geometry.pose import Pose, heading_from_rotation, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.io.jpeg_metadata import with_properties
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses, write_poses
-from omnisyn_cli.poses.formats import export_poses
+from omnisyn_cli.poses.formats.writers import export_poses
 from poses.formats.foreign_samples import write_images
 from poses.formats.test_pose_places import gps, imported, pano_pose
 

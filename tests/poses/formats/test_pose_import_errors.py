@@ -11,7 +11,9 @@ from foreign_samples import axis_angle, imported, row, write_images, write_json,
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.poses.formats import ImportedPoses, ImportedView, ImportOptions, import_poses, write_imported
+from omnisyn_cli.poses.formats import import_poses
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, ImportOptions
+from omnisyn_cli.poses.formats.writers import write_imported
 
 IMAGE = "1 1 0 0 0 0 0 0 1 a.png"
 

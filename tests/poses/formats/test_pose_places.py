@@ -10,7 +10,8 @@ from foreign_samples import SIZE, imported, our_pixel, write_images, write_json,
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, rotation_angle
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.poses.formats import ImportOptions, import_poses
+from omnisyn_cli.poses.formats import import_poses
+from omnisyn_cli.poses.formats.files import ImportOptions
 from omnisyn_cli.poses.registration.conventions import heading_angles
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 

@@ -22,7 +22,7 @@ from foreign_samples import (
 )
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.poses.formats import CAMERA_AXES, WORLD_UP
+from omnisyn_cli.poses.formats.files import CAMERA_AXES, WORLD_UP
 
 COUNT = 6
 

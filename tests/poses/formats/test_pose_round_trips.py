@@ -11,7 +11,9 @@ from omnisyn_cli.errors import OutputPathError, PoseError, WriteError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export.datasets import FACES
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses, write_poses
-from omnisyn_cli.poses.formats import EXPORT_FORMATS, ImportedPoses, colmap_rig_files, export_poses, write_imported
+from omnisyn_cli.poses.formats.colmap import colmap_rig_files
+from omnisyn_cli.poses.formats.files import ImportedPoses
+from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS, export_poses, write_imported
 
 OUTPUTS = {"colmap": "model", "nerfstudio": "transforms.json", "tum": "trajectory.tum"}
 

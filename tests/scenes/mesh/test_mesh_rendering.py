@@ -5,17 +5,10 @@ from mesh_samples import SIZE, box_room, checks, depth_in_box, joined, wall_ahea
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.textured_mesh import Material
-from omnisyn_cli.scenes.mesh import (
-    MeshCaster,
-    MeshScene,
-    draw_lighting,
-    find_line,
-    find_places,
-    papered_mesh,
-    render_mesh,
-    untextured_share,
-    varied_mesh,
-)
+from omnisyn_cli.scenes.mesh.places import find_line, find_places
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting, render_mesh
+from omnisyn_cli.scenes.mesh.texturing import SurfaceColours, papered_mesh, untextured_share, varied_mesh
 
 EYE = np.array([0.7, 1.5, -0.4])
 TURNED = rotation_from_rotation_vector(np.array([0.3, -1.1, 0.2]))
@@ -23,7 +16,7 @@ TURNED = rotation_from_rotation_vector(np.array([0.3, -1.1, 0.2]))
 
 def lit(mesh, rays=24, seed=0):
     caster = MeshCaster(mesh)
-    return MeshScene.of(mesh, draw_lighting(caster, np.random.default_rng(seed), EYE, rays), caster)
+    return MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, np.random.default_rng(seed), EYE, rays))
 
 
 @pytest.mark.parametrize("rotation", [np.eye(3), TURNED], ids=["upright", "turned"])

@@ -4,11 +4,11 @@
   order, with their depth and masks.
 * Habitat renders of Matterport3D and Replica as PanoGRF makes and PanSplat reads them:
   ``SCENE/NN/{rgb.png, depth.png, rot.txt, tran.txt}``, the views NN in the order of their names, see
-  :mod:`omnisyn_cli.poses.formats.habitat`. ``depth.png`` may be missing; it is 0 where the scan has a hole.
+  :mod:`omnisyn_cli.poses.formats.trajectories`. ``depth.png`` may be missing; it is 0 where the scan has a hole.
 * Zillow Indoor Dataset: ``TOUR/zind_data.json`` with ``TOUR/panos/*.jpg``, see
-  :mod:`omnisyn_cli.poses.formats.zind`. Every complete room with two or more panoramas is one scene, its panoramas in
-  the order of their numbers. There is no depth; a floor without ``scale_meters_per_coordinate`` has no scale and cannot
-  be used.
+  :mod:`omnisyn_cli.poses.formats.json_files`. Every complete room with two or more panoramas is one scene, its
+  panoramas in the order of their numbers. There is no depth; a floor without ``scale_meters_per_coordinate`` has no
+  scale and cannot be used.
 * Tours of photographs, which are data sets when it is asked for: each photograph is the truth between its neighbours.
 * The CARLA data that the authors of OmniSyn published: ``Town*/run/{rgb,depth}/FRAME.png`` with ``gnss_data.json``,
   see :func:`carla_scenes`. Frames without both pictures are left out, as the authors do. Every run is one scene.
@@ -44,8 +44,8 @@ from omnisyn_cli.io.placement import Reading
 from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
 from omnisyn_cli.poses.file import POSES_NAME, read_poses
 from omnisyn_cli.poses.formats.files import natural_key
-from omnisyn_cli.poses.formats.habitat import habitat_pose
-from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, Panorama, pose_on_floor, read_tour
+from omnisyn_cli.poses.formats.json_files import ZIND_FILE_NAME, Panorama, pose_on_floor, read_tour
+from omnisyn_cli.poses.formats.trajectories import habitat_pose
 from omnisyn_cli.synthesis.still_outlines import PICTURE_SIZE, find_still_region, spread_out
 from omnisyn_cli.types import View
 

@@ -17,7 +17,9 @@ from omnisyn_cli.interpolation.loading import PanoramaSurface
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.outputs import make_folder, named_in, write_parts
 from omnisyn_cli.io.ply import write_ply
-from omnisyn_cli.poses.formats import CAMERA_AXES, colmap_files, colmap_rig_files, nerfstudio_text
+from omnisyn_cli.poses.formats.colmap import colmap_files, colmap_rig_files
+from omnisyn_cli.poses.formats.files import CAMERA_AXES
+from omnisyn_cli.poses.formats.json_files import nerfstudio_text
 
 FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
     "front": np.eye(3),

@@ -37,9 +37,9 @@ class Format(NamedTuple):
     """What there is to say about a format.
 
     The suffix of its file is empty for those that fill a folder; ``up`` is one of
-    :data:`omnisyn_cli.poses.formats.WORLD_UP`. Stride (pixels of the depth between points) and sky (whether what is
-    infinitely far is shown) are defaults. ``point`` are the bytes of a point as it is written, 0 where there are none;
-    ``writing`` those of each pixel of a panorama while its files are made.
+    :data:`omnisyn_cli.poses.formats.files.WORLD_UP`. Stride (pixels of the depth between points) and sky (whether what
+    is infinitely far is shown) are defaults. ``point`` are the bytes of a point as it is written, 0 where there are
+    none; ``writing`` those of each pixel of a panorama while its files are made.
     """
 
     suffix: str

@@ -35,7 +35,7 @@ from omnisyn_cli.io.images import read_picture
 from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, replaced_folder
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
-from omnisyn_cli.poses.formats import foreign_from_pose
+from omnisyn_cli.poses.formats.files import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh
 from omnisyn_cli.types import DepthEstimator, View
 

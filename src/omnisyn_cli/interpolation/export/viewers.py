@@ -21,7 +21,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli.geometry.sphere import angles_to_direction
 from omnisyn_cli.interpolation.export.site import DEPTH, Site, SiteMark, SitePanorama
-from omnisyn_cli.poses.formats import WORLD_UP
+from omnisyn_cli.poses.formats.files import WORLD_UP
 
 VENDOR = "vendor"
 """Folder of a site for the viewer's own files, which are not part of it."""

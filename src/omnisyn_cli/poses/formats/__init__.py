@@ -1,4 +1,4 @@
-"""Poses of other programs, read into our axes and written from them; one module per format.
+"""Poses of other programs, read into our axes and written from them; see its modules.
 
 Every reader takes a source and :class:`ImportOptions` and answers with :class:`ImportedPoses`: poses in our frame (x
 right, y up, −z forward; metres) and one line for everything it had to assume. ``docs/poses.md`` tells users the same.
@@ -10,46 +10,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from omnisyn_cli.errors import PoseError
-from omnisyn_cli.io.documents import read_json
-from omnisyn_cli.poses.formats.colmap import colmap_files, colmap_rig_files, read_colmap
-from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
-from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, data_lines, entries, images_in
-from omnisyn_cli.poses.formats.habitat import habitat_folders, read_habitat
-from omnisyn_cli.poses.formats.known_places import read_exif, read_table
-from omnisyn_cli.poses.formats.model import (
-    CAMERA_AXES,
-    WORLD_UP,
-    ImportedPoses,
-    ImportedView,
-    ImportOptions,
-    Origin,
-    foreign_from_pose,
-    leveled,
-)
-from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text, read_nerfstudio
-from omnisyn_cli.poses.formats.opensfm import read_opensfm
-from omnisyn_cli.poses.formats.trajectories import ROTATIONS, read_authors, read_kitti, read_tum
-from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS, export_poses, write_imported
-from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, read_zind
+import numpy as np
 
-__all__ = [
-    "CAMERA_AXES",
-    "EXPORT_FORMATS",
-    "IMPORT_FORMATS",
-    "WORLD_UP",
-    "ImportOptions",
-    "ImportedPoses",
-    "ImportedView",
-    "Origin",
-    "colmap_files",
-    "colmap_rig_files",
-    "export_poses",
-    "foreign_from_pose",
-    "import_poses",
-    "nerfstudio_text",
-    "write_imported",
-]
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import Pose, rotation_taking
+from omnisyn_cli.geometry.sphere import UP
+from omnisyn_cli.io.documents import read_json
+from omnisyn_cli.poses.formats.colmap import read_colmap
+from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
+from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, ImportedPoses, ImportOptions, data_lines, entries, images_in
+from omnisyn_cli.poses.formats.json_files import ZIND_FILE_NAME, read_nerfstudio, read_opensfm, read_zind
+from omnisyn_cli.poses.formats.known_places import read_exif, read_table
+from omnisyn_cli.poses.formats.trajectories import (
+    ROTATIONS,
+    habitat_folders,
+    read_authors,
+    read_habitat,
+    read_kitti,
+    read_tum,
+)
+
+MIN_MEAN_UP_LENGTH = 1e-3
+"""Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +72,8 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
     ``sources`` are one file or folder, or for ``exif`` any number of images; ``format_name`` is one of
     :data:`IMPORT_FORMATS` or ``auto``. The answer is the format's name and what was read.
 
-    Raises:
-        PoseError: nothing known there, malformed, no folder of images, or an option that does not go with the format.
-        ImageError: an image (exif) that is none.
+    Raises PoseError: nothing known there, malformed, no folder of images, or an option that does not go with the
+    format; ImageError: an image (exif) that is none.
     """
     chosen = detected_format(sources) if format_name == "auto" else format_name
     if chosen not in FORMATS:
@@ -103,10 +84,20 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
     if options.up != "cameras":
         return chosen, form.read(source, options)
     imported = form.read(source, replace(options, up=None))
-    turned = leveled([view.pose for view in imported.views])
+    turned = _levelled([view.pose for view in imported.views])
     views = tuple(replace(view, pose=pose) for view, pose in zip(imported.views, turned, strict=True))
     kept = tuple(note for note in imported.notes if not note.startswith("world:"))
     return chosen, ImportedPoses(views, (*kept, "world: up is the mean of the cameras' own"))
+
+
+def _levelled(poses: Sequence[Pose]) -> list[Pose]:
+    """The same poses in a world whose y axis is the mean of the cameras' own: level where cameras were held level."""
+    mean_up = np.mean([pose.rotation[:, 1] for pose in poses], axis=0)
+    length = float(np.linalg.norm(mean_up))
+    if length < MIN_MEAN_UP_LENGTH:
+        raise PoseError("expected cameras held roughly upright, got directions that cancel out; choose --up by axis")
+    turn = Pose(rotation_taking(mean_up / length, UP), np.zeros(3))
+    return [turn @ pose for pose in poses]
 
 
 def detected_format(sources: Sequence[Path]) -> str:

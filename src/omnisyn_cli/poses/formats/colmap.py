@@ -23,8 +23,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.poses.formats.colmap_model import HEADER, IMAGES, Model, read_model
-from omnisyn_cli.poses.formats.files import find_view
-from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreign_from_pose, noted
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, find_view, foreign_from_pose, noted
 
 MAX_LEVEL_ERROR = 1e-3
 """Sine of the angle by which the faces of a panorama may roll: they are cut without any, and written exactly."""
@@ -97,10 +96,8 @@ def colmap_files(
 ) -> dict[str, str]:
     """``cameras.txt``, ``images.txt`` and ``points3D.txt`` by name.
 
-    Args:
-        poses: world-from-camera, by the names of the images.
-        sizes: ``(height, width)``, likewise.
-        points: ``X Y Z R G B`` of each, in COLMAP's world; they are seen in no image as far as the file says.
+    World-from-camera poses and sizes ``(height, width)`` are by the names of the images, points ``X Y Z R G B`` in
+    COLMAP's world; they are seen in no image as far as the file says.
     """
     cameras = {size: number for number, size in enumerate(dict.fromkeys(sizes.values()), start=1)}
     camera_lines = [

@@ -41,17 +41,10 @@ EQUIRECTANGULAR_ID, SPHERE_ID = 17, 11
 
 SPHERE_PARAMETER_COUNT = 3
 
-POINT_BYTES = 24
-"""Of a 2-D point in ``images.bin``: x, y and the number of its 3-D point."""
-
-MAX_NAME_BYTES = 4096
-"""Longer names are no file's."""
-
-MAX_DIGITS = 20
-"""Of the greatest number of 64 bits."""
-
-SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}
-"""Numbers of the words in text."""
+POINT_BYTES = 24  # Of a 2-D point in ``images.bin``: x, y and the number of its 3-D point
+MAX_NAME_BYTES = 4096  # Longer names are no file's
+MAX_DIGITS = 20  # Of the greatest number of 64 bits
+SENSOR_TYPES = {"CAMERA": 0, "IMU": 1}  # Numbers of the words in text
 
 
 @dataclass(frozen=True)
@@ -91,21 +84,20 @@ class Model:
 
 def is_model(folder: Path) -> bool:
     """Whether there is a model in a folder, or where it usually has one."""
-    return any((_model_folder(folder) / name).is_file() for name in (IMAGES, BINARY_IMAGES))
+    return _folder_of_model(folder) is not None
 
 
 def read_model(source: Path) -> Model:
     """The model in a folder, or beside one of its files; text where there is both. PoseError: malformed."""
-    folder = _model_folder(source) if source.is_dir() else source.parent
+    folder = (_folder_of_model(source) or source) if source.is_dir() else source.parent
     is_binary = not (folder / IMAGES).is_file() and (folder / BINARY_IMAGES).is_file()
     return _binary_model(folder) if is_binary else _text_model(folder)
 
 
-def _model_folder(source: Path) -> Path:
-    """The folder of a model inside ``source``: itself, or the usual ``sparse/0`` and ``sparse``."""
-    candidates = [source, source / "sparse" / "0", source / "sparse"]
-    marks = (IMAGES, BINARY_IMAGES)
-    return next((path for path in candidates if any((path / mark).is_file() for mark in marks)), source)
+def _folder_of_model(source: Path) -> Path | None:
+    """The folder of a model inside ``source``: itself, or the usual ``sparse/0`` and ``sparse``; None without one."""
+    files = (source / folder / name for folder in ("", "sparse/0", "sparse") for name in (IMAGES, BINARY_IMAGES))
+    return next((file.parent for file in files if file.is_file()), None)
 
 
 class _Words:

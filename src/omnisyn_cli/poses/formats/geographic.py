@@ -21,7 +21,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import ImageError, PoseError
 from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, ImportOptions, Origin
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.registration.scan import Scan
@@ -75,8 +75,8 @@ def imported_places(
     rotations = {name: held[name] for name, place in places.items() if place.heading is not None}
     if len(rotations) < len(places):
         positions = {name: world.position for name, world in worlds.items()}
-        found, more = _rotations_by_neighbours(positions, rotations, held, images)
-        rotations, notes = {**rotations, **found}, [*more, *notes]
+        rotations, more = _rotations_by_neighbours(positions, rotations, held, images)
+        notes = [*more, *notes]
     if unknown := [name for name in places if name not in rotations]:
         raise PoseError(
             f"{where}: expected a compass heading (GPano:PoseHeadingDegrees or GPSImgDirection), got none for "
@@ -130,7 +130,7 @@ def _rotations_by_neighbours(
     positions: Mapping[str, Float[np.ndarray, " 3"]], known: Rotations, held: Rotations,
     images: Mapping[str, Path | None],
 ) -> tuple[Rotations, list[str]]:  # fmt: skip
-    """World-from-camera rotations of all panoramas that have none, and what there is to say about them.
+    """World-from-camera rotations of all panoramas, and what there is to say about those that were not known.
 
     Positions are in walking order, and ``held`` is as if all looked north. A panorama is left out where all were taken
     in one place and pictures tell nothing.
@@ -162,7 +162,7 @@ def _rotations_by_neighbours(
             f"headings: nothing tells those of {listed(list(travel))}, which are taken to look along the track; if "
             "they do not, give a table with headings, or let 'omnisyn poses estimate' find the poses"
         )
-    return {name: rotation for name, rotation in found.items() if name not in known}, notes
+    return found, notes
 
 
 def _scan(path: Path | None) -> Scan | None:

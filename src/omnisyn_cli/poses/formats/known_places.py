@@ -25,15 +25,11 @@ from typing import Any
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.decode import ImageHeader, read_header
 from omnisyn_cli.io.documents import listed, read_json, read_text
-from omnisyn_cli.poses.formats.files import find_image, images_in, numbers
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, find_image, images_in, noted, numbers
 from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places
-from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, noted
 
-ELLIPSOID_ALTITUDE_REFS = (2, 3)
-"""Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)."""
-
-POSE_TAGS = ("Heading", "Pitch", "Roll")
-"""GPano's, between ``Pose`` and ``Degrees``."""
+ELLIPSOID_ALTITUDE_REFS = (2, 3)  # Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)
+POSE_TAGS = ("Heading", "Pitch", "Roll")  # GPano's, between ``Pose`` and ``Degrees``
 
 COLUMNS = {
     "image": ("image", "file", "filename", "file_name", "name", "path", "pano_id", "panoid", "id"),
@@ -48,8 +44,7 @@ COLUMNS = {
 
 REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
 
-MAX_RADIAN_HEADING = 6.3
-"""Just above 2π: headings that all stay below may be radians."""
+MAX_RADIAN_HEADING = 6.3  # Just above 2π: headings that all stay below may be radians
 
 
 def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:

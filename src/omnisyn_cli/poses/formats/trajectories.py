@@ -1,10 +1,15 @@
-"""Trajectories without names: TUM (time stamp, position, quaternion), KITTI (3×4 matrices), the authors' two arrays.
+"""Bare numbers: TUM (time stamp, position, quaternion), KITTI (3×4 matrices), the authors' two arrays, Habitat.
 
 TUM lines are ``timestamp tx ty tz qx qy qz qw``, KITTI lines the twelve numbers of ``[R | t]`` row by row, both
 camera-to-world. Neither says what the axes are: usually OpenCV's (x right, y down, z forward) in the world of the first
 camera, which ``--camera-axes`` and ``--up`` overrule. Panoramas are matched by time stamp or by the order of names.
 
-Source: TUM RGB-D benchmark, "File Formats"; KITTI odometry benchmark, development kit.
+Renders of Habitat (Matterport3D, Replica) lie as PanoGRF and PanSplat keep them, a folder per panorama:
+``NN/{rgb.png, depth.png, rot.txt, tran.txt}``, a 3×3 camera-to-world rotation, the position of the camera in metres, in
+Habitat's frame: x right, y up, −z forward, which is ours. ``depth.png`` holds 16-bit millimetres along the ray.
+
+Source: TUM RGB-D benchmark, "File Formats"; KITTI odometry benchmark, development kit; PanSplat,
+``src/dataset/dataset_mp3d.py`` (``convert_poses``); PanoGRF's data preparation.
 """
 
 import math
@@ -14,11 +19,24 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
+from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation, rotation_angle
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.entries import checked_quaternion, checked_rotation
-from omnisyn_cli.poses.formats.files import data_lines, default_folder, find_view, images_in, numbers, read_array
-from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, foreign_from_pose, noted
+from omnisyn_cli.poses.formats.files import (
+    ImportedPoses,
+    ImportedView,
+    ImportOptions,
+    data_lines,
+    default_folder,
+    entries,
+    find_view,
+    foreign_from_pose,
+    images_in,
+    natural_key,
+    noted,
+    numbers,
+    read_array,
+)
 
 NAME_COMMENT = "# image "
 """How :func:`tum_text` keeps names, which the format has no place for: ``# image TIMESTAMP NAME``."""
@@ -187,3 +205,53 @@ def _images(folder: Path, count: int) -> tuple[list[tuple[int, Path]], str]:
     if paths and len(numbered) == len(paths) and max(numbered) < count:
         return sorted(numbered.items()), f"file names are taken as indices into the arrays ({count} poses)"
     raise PoseError(f"{folder}: expected {count} panoramas, one per pose, got {len(paths)}; give --images")
+
+
+MIN_NOTED_ROTATION = 1e-6  # Radians; smaller rotations are rounding and get no note
+
+
+def habitat_folders(folder: Path) -> list[Path]:
+    """The folders of the single panoramas, in natural order."""
+    found = [path for path in entries(folder) if (path / "rot.txt").is_file() and (path / "tran.txt").is_file()]
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def read_habitat(source: Path, options: ImportOptions) -> ImportedPoses:
+    """Poses of a scene: a folder with a folder per panorama."""
+    folders = habitat_folders(source) if source.is_dir() else []
+    if not folders:
+        raise PoseError(f"{source}: expected folders with rot.txt and tran.txt, got none; give the folder of one scene")
+    views = []
+    for folder in folders:
+        image, depth = _panorama(folder), folder / "depth.png"
+        pose, name = habitat_pose(folder, options), f"{folder.name}/{image.name}"
+        views.append(ImportedView(name, pose, image, depth if depth.is_file() else None))
+    notes = {
+        "distances: metres": True,
+        "depth: 16-bit millimetres along the ray, where there is a depth.png": True,
+        "rotations: rot.txt is read as camera-to-world, as PanSplat does": (
+            any(float(rotation_angle(view.pose.rotation)) > MIN_NOTED_ROTATION for view in views)
+        ),
+    }
+    return ImportedPoses(tuple(views), noted(notes))
+
+
+def habitat_pose(folder: Path, options: ImportOptions | None = None) -> Pose:
+    """Where the panorama of a folder with ``rot.txt`` and ``tran.txt`` was taken; PoseError: missing or malformed."""
+    rotation = checked_rotation(f"{folder / 'rot.txt'}", _values(folder / "rot.txt", 9, "a 3×3 rotation").reshape(3, 3))
+    position = _values(folder / "tran.txt", 3, "a position")
+    return (options or ImportOptions()).pose(Pose(rotation, position), camera="opengl", up="y")
+
+
+def _values(path: Path, count: int, what: str) -> np.ndarray:
+    fields = [field for _, line in data_lines(path) for field in line.replace(",", " ").split()]
+    return numbers(str(path), fields, count, what)
+
+
+def _panorama(folder: Path) -> Path:
+    """``rgb.*``, or the only image that is not a depth map."""
+    images = [path for path in images_in(folder) if not path.stem.startswith("depth")]
+    named = [path for path in images if path.stem == "rgb"] or images
+    if len(named) != 1:
+        raise PoseError(f"{folder}: expected one panorama (rgb.png), got {len(named)} images; name it rgb.png")
+    return named[0]

@@ -14,8 +14,8 @@ from omnisyn_cli.io.jpeg_metadata import with_properties
 from omnisyn_cli.io.placement import Placement, placement_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, write_poses
 from omnisyn_cli.poses.formats.colmap import colmap_files
-from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, noted
-from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, noted
+from omnisyn_cli.poses.formats.json_files import nerfstudio_text
 from omnisyn_cli.poses.formats.trajectories import tum_text
 
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
@@ -117,15 +117,15 @@ def _gpano_tags(pose: Pose, placement: Placement, known: Set[str]) -> dict[str, 
 
 def _sizes(poses: PoseFile, folder: Path, size: tuple[int, int] | None) -> dict[str, tuple[int, int]]:
     """``(height, width)`` of the whole sphere of every panorama: those of its file unless the user gave one."""
-    return {name: size or _size(poses.path, name, folder) for name in poses.panoramas}
-
-
-def _size(path: Path, name: str, folder: Path) -> tuple[int, int]:
-    if not (folder / name).is_file():
-        found = f"expected the panorama '{name}' in '{folder}', for its size, got none"
-        raise PoseError(f"{path}: {found}; name the folder (--images) or the size (--size)")
-    placement = placement_of(read_header(folder / name))
-    return placement.full_height, placement.full_width
+    if size is not None:
+        return dict.fromkeys(poses.panoramas, size)
+    if missing := next((name for name in poses.panoramas if not (folder / name).is_file()), None):
+        raise PoseError(
+            f"{poses.path}: expected the panorama '{missing}' in '{folder}', for its size, got none; name the folder "
+            "(--images) or the size (--size)"
+        )
+    places = {name: placement_of(read_header(folder / name)) for name in poses.panoramas}
+    return {name: (place.full_height, place.full_width) for name, place in places.items()}
 
 
 def write_imported(

@@ -16,8 +16,7 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.poses.registration.least_squares import JACKKNIFE_ANGLE, cross_matrices, sphere_cells
 from omnisyn_cli.poses.registration.pose_graph import Edge
 
-MAX_OBSERVATIONS = 100_000
-"""Which bounds time and memory: points that more pairs share are kept first."""
+MAX_OBSERVATIONS = 100_000  # Which bounds time and memory: points that more pairs share are kept first
 
 GIVEN_LENGTH_PIXELS, FORMER_LENGTH_PIXELS = 1e4, 0.1
 """Pixels of residual that a doubled length counts as: one that is given stays, the former one only if nothing tells."""

@@ -40,8 +40,7 @@ SIGNED_PERMUTATIONS = [
 MAX_LOST_TURNS = 29
 """Full turns (2π) in 180 radians, rounded up: what an angle in degrees loses when it is read as radians."""
 
-MIN_ANGLE = 1e-9
-"""Radians; smaller rotations have no axis."""
+MIN_ANGLE = 1e-9  # Radians; smaller rotations have no axis
 
 Correction = Callable[[Pose, Pose], tuple[Pose, Pose]]
 

@@ -26,8 +26,7 @@ Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unkn
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
 taken from one place, only rotations can be judged; ``unknown``: too few matches."""
 
-FIT_LIMITS = (math.radians(0.5), math.radians(2.0))
-"""Errors of rotation and direction up to which poses fit."""
+FIT_LIMITS = (math.radians(0.5), math.radians(2.0))  # Errors of rotation and direction up to which poses fit
 
 CLOSE_LIMITS = (math.radians(15.0), math.radians(20.0))
 """Errors that are taken for inaccuracy rather than for a mistake in convention: wrong axes are off by far more."""
@@ -38,23 +37,15 @@ EXPLANATION_LIMITS = (math.radians(3.0), math.radians(5.0))
 DEGREES_EXPLANATION_LIMITS = (math.radians(1.0), math.radians(1.0))
 """The same where thousands of corrections are tried, of which one may come close by chance."""
 
-MIN_IMPROVEMENT = 3.0
-"""Factor by which a correction has to reduce the larger error of the poses as given."""
-
-TIE_ANGLE = math.radians(1.0)
-"""Corrections whose errors differ by less cannot be told apart by one pair."""
+MIN_IMPROVEMENT = 3.0  # Factor by which a correction has to reduce the larger error of the poses as given
+TIE_ANGLE = math.radians(1.0)  # Corrections whose errors differ by less cannot be told apart by one pair
 
 MIN_CHI_SQUARED_GAIN = 25.0
 """Decrease of χ² that is worth a change: χ² of five degrees of freedom stays below it in 9,999 cases of 10,000."""
 
-PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)
-"""Metres above the floor: from a tripod on the ground to the roof of a car."""
-
-EXPECTED_CAMERA_HEIGHT = 1.5
-"""Metres above the floor, of a camera on a tripod or in a raised hand."""
-
-MAX_ALTERNATIVES = 4
-"""Further explanations that are printed; ``--json`` lists all."""
+PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)  # Metres above the floor: from a tripod on the ground to the roof of a car
+EXPECTED_CAMERA_HEIGHT = 1.5  # Metres above the floor, of a camera on a tripod or in a raised hand
+MAX_ALTERNATIVES = 4  # Further explanations that are printed; ``--json`` lists all
 
 VERDICTS: dict[Verdict, str] = {
     "fits": "the poses fit",
@@ -67,22 +58,13 @@ VERDICTS: dict[Verdict, str] = {
 
 @dataclass(frozen=True)
 class Fit:
-    """How well a relative pose fits.
+    """How well a relative pose fits what was found in the pictures."""
 
-    Attributes:
-        rotation: radians between its rotation and that found in the pictures.
-        direction: radians between its direction of the second camera and that found; π where it has none, 0 where
-            the pictures have none.
-        residual: median angle to the epipolar circles over the matches that agree with what was found; radians.
-        in_front: share of these with a point in front of both cameras.
-        supporting: number of all matches that agree with it.
-    """
-
-    rotation: float
-    direction: float
-    residual: float
-    in_front: float
-    support_mask: int
+    rotation: float  # radians between both rotations
+    direction: float  # radians between both directions of the second camera; π without its own, 0 without theirs
+    residual: float  # median angle to the epipolar circles over the matches that agree with what was found; radians
+    in_front: float  # share of these with a point in front of both cameras
+    supporting: int  # number of all matches that agree with it
 
     def is_within(self, limits: tuple[float, float]) -> bool:
         """Whether rotation and direction are at most ``limits``."""
@@ -216,7 +198,7 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
         ]
     found = int(estimate.inliers.sum())
     sentences = [VERDICTS[diagnosis.verdict], _error_sentence(given, estimate)]
-    measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.support_mask} with the poses given"
+    measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.supporting} with the poses given"
     if not (estimate.have_same_position or _has_no_direction(given)):
         measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
@@ -226,11 +208,9 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def camera_height_sentence(height: float, found_baseline: float | None = None) -> str:
-    """What a height in metres above the floor says about the distances between cameras.
+    """What a height in metres above the floor says about the distances between cameras that it follows from.
 
-    Args:
-        height: by these distances.
-        found_baseline: mean distance of neighbours that poses from the pictures were scaled to; None for given poses.
+    ``found_baseline`` is the mean distance of neighbours that poses from the pictures were scaled to, if they were.
     """
     doubt, advice = "", "are the distances in metres?"
     if found_baseline is not None:
@@ -324,7 +304,7 @@ def _fit_values(fit: Fit) -> dict[str, Any]:
         "direction_off_deg": math.degrees(fit.direction),
         "residual_deg": math.degrees(fit.residual),
         "in_front_share": fit.in_front,
-        "supporting_matches": fit.support_mask,
+        "supporting_matches": fit.supporting,
     }
 
 

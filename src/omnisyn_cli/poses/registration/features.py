@@ -31,8 +31,7 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, pixel_scale, pixel_to_direction
 
-MAX_IMAGE_ROWS = 1024
-"""Larger panoramas are reduced to this height: features are then found within about 0.05°."""
+MAX_IMAGE_ROWS = 1024  # Larger panoramas are reduced to this height: features are then found within about 0.05°
 
 MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
 """Points that are looked for in a flat image, and features of a panorama; matching takes time with its square."""
@@ -40,14 +39,9 @@ MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
 BAND_LATITUDE = math.asin(1.0 / math.sqrt(3.0))
 """Latitude within which every direction lies in one of three orthogonal bands."""
 
-BAND_MARGIN = math.radians(9.0)
-"""Radians around a band that descriptors may reach into."""
-
-SIFT_CONTRAST_THRESHOLD = 0.02
-"""OpenCV's default is 0.04; half of it still finds features in plain rooms."""
-
-LOWE_RATIO = 0.8
-"""The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)."""
+BAND_MARGIN = math.radians(9.0)  # Radians around a band that descriptors may reach into
+SIFT_CONTRAST_THRESHOLD = 0.02  # OpenCV's default is 0.04; half of it still finds features in plain rooms
+LOWE_RATIO = 0.8  # The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)
 
 DESCRIPTOR_NORM = 512.0
 """Length of descriptors of whole numbers: sums of 128 products stay below 2²⁴, exact in float32 in any order."""
@@ -61,14 +55,14 @@ FINE_ROWS, MAX_ENLARGEMENT = 1536, 1.5
 """Rows of the picture that is searched: larger panoramas are reduced to it, smaller ones enlarged by at most this. That
 finds a third more matches in panoramas of 1024 rows."""
 
-WALL_LATITUDE = math.radians(55.0)
-"""Radians above and below the horizon that walls are looked for in."""
-
-SQUEEZE = 2
-"""Factor by which the second search narrows walls: those seen at 30° instead of 90°."""
+WALL_LATITUDE = math.radians(55.0)  # Radians above and below the horizon that walls are looked for in
+SQUEEZE = 2  # Factor by which the second search narrows walls: those seen at 30° instead of 90°
 
 FLOOR_PIXELS, FLOOR_TANGENT = 600, math.tan(math.radians(68.0))
 """Side of the bird's-eye view, and tangent of the largest angle from straight down along its sides."""
+
+FoundPoints = tuple[np.ndarray, ...]
+"""``(n, 3)`` directions in the camera's frame, ``(n, 128)`` descriptors and ``(n,)`` responses of SIFT's points."""
 
 
 @dataclass(frozen=True)
@@ -129,19 +123,15 @@ def find_grey_features(
     """:func:`find_features` of a :func:`grey_of` panorama; ``usable`` may have another size."""
     with limited_threads(threads):
         found = [_band_features(grey, axis) for axis in range(3)]
-    direction, descriptor, response = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return strongest_features(direction, descriptor, response, usable, 1.0 / pixel_scale(grey.shape)[0])
+    every = tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+    return strongest_features(every, usable, 1.0 / pixel_scale(grey.shape)[0], MAX_FEATURES)
 
 
 def strongest_features(
-    direction: Float[np.ndarray, "n 3"],
-    descriptor: Float[np.ndarray, "n 128"],
-    response: Float[np.ndarray, " n"],
-    usable: Bool[np.ndarray, "rows cols"] | None,
-    pixel: float,
-    count: int = MAX_FEATURES,
+    found: FoundPoints, usable: Bool[np.ndarray, "rows cols"] | None, pixel: float, count: int
 ) -> Features:
     """At most ``count`` of SIFT's points where the panorama is usable."""
+    direction, descriptor, response = found
     if usable is not None:
         kept = np.asarray(sample_nearest(usable.astype(np.float32), direction) > 0)
         direction, descriptor, response = direction[kept], descriptor[kept], response[kept]
@@ -175,8 +165,8 @@ def grey_of(
     return np.asarray(np.rint(luma.clip(0.0, 1.0) * 255.0), np.uint8)
 
 
-def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Direction, descriptor and response of the features that belong to one band."""
+def _band_features(grey: np.ndarray, axis: int) -> FoundPoints:
+    """Those that belong to one band."""
     _, width = size = (grey.shape[0], grey.shape[1])
     table, top, wrap = band_table(size, axis)
     place, descriptor, response = detect_sift(table.bilinear(grey))
@@ -255,12 +245,7 @@ def find_levelled_features(
         views = (_walls(grey, level_from_camera, 1), _walls(grey, level_from_camera, SQUEEZE))
         found = (*views, _floor(grey, level_from_camera))
     pixel = 1.0 / pixel_scale(grey.shape)[0]
-    return LevelledFeatures(
-        *(
-            strongest_features(direction @ level_from_camera, descriptor, response, usable, pixel, MAX_SIFT_POINTS)
-            for direction, descriptor, response in found
-        )
-    )
+    return LevelledFeatures(*(strongest_features(each, usable, pixel, MAX_SIFT_POINTS) for each in found))
 
 
 def match_levelled_features(first: LevelledFeatures, second: LevelledFeatures) -> Matches:
@@ -270,7 +255,7 @@ def match_levelled_features(first: LevelledFeatures, second: LevelledFeatures) -
     return reduce(add, [*found, match_features(first.floor, second.floor)])
 
 
-def _walls(grey: np.ndarray, level_from_camera: np.ndarray, squeeze: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _walls(grey: np.ndarray, level_from_camera: np.ndarray, squeeze: int) -> FoundPoints:
     _, width = size = (grey.shape[0], grey.shape[1])
     directions, top, wrap = band_directions(size, WALL_LATITUDE)
     band = RemapTable.for_directions(directions @ level_from_camera, grey.shape).bilinear(grey)
@@ -279,14 +264,14 @@ def _walls(grey: np.ndarray, level_from_camera: np.ndarray, squeeze: int) -> tup
     col = (place[:, 0] + 0.5) * (band.shape[1] / narrow.shape[1]) - 0.5 - wrap
     is_inside = (col >= -0.5) & (col < width - 0.5)
     direction = pixel_to_direction(place[is_inside, 1] + top, col[is_inside], size)
-    return direction, descriptor[is_inside], response[is_inside]
+    return direction @ level_from_camera, descriptor[is_inside], response[is_inside]
 
 
-def _floor(grey: np.ndarray, level_from_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _floor(grey: np.ndarray, level_from_camera: np.ndarray) -> FoundPoints:
     rows, cols = np.mgrid[:FLOOR_PIXELS, :FLOOR_PIXELS]
     view = RemapTable.for_directions(_floor_directions(cols, rows) @ level_from_camera, grey.shape).bilinear(grey)
     place, descriptor, response = detect_sift(view)
-    return _floor_directions(place[:, 0], place[:, 1]), descriptor, response
+    return _floor_directions(place[:, 0], place[:, 1]) @ level_from_camera, descriptor, response
 
 
 def _floor_directions(col: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -15,8 +15,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotati
 from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.poses.registration.features import Matches
 
-MIN_SQUARED_SINE = 1e-12
-"""Squared sine of the angle below which two directions span no plane."""
+MIN_SQUARED_SINE = 1e-12  # Squared sine of the angle below which two directions span no plane
 
 
 def relative_pose(first: Pose, second: Pose) -> Pose:
@@ -85,17 +84,10 @@ def direction_error(pose: Pose, truth: Pose) -> float:
     return float(angle_between(pose.position, truth.position))
 
 
-MAX_ITERATIONS = 20
-"""Of Levenberg and Marquardt; the search usually ends earlier by :data:`MIN_STEP`."""
-
-MIN_STEP = 1e-8
-"""Radians: smaller steps end the search."""
-
-MAD_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute value."""
-
-MIN_NOISE = 1e-7
-"""Radians; no residual is weighted as if it were better than this."""
+MAX_ITERATIONS = 20  # Of Levenberg and Marquardt; the search usually ends earlier by :data:`MIN_STEP`
+MIN_STEP = 1e-8  # Radians: smaller steps end the search
+MAD_TO_STD = 1.4826  # Standard deviation of a normal distribution over its median absolute value
+MIN_NOISE = 1e-7  # Radians; no residual is weighted as if it were better than this
 
 JACKKNIFE_ANGLE = math.radians(20.0)
 """Side of the cells that are left out. Over 47 generated pairs the errors are 1.1 times the stated deviations in their

@@ -22,11 +22,8 @@ SAMPLE_POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3]
 COEFFICIENTS_FROM_VALUES = np.linalg.inv(np.prod(SAMPLE_POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
 """Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`."""
 
-MAX_IMAGINARY_PART = 1e-6
-"""Imaginary part, relative to the absolute value, up to which a root counts as real."""
-
-MIN_RELATIVE_DETERMINANT = 1e-10
-"""Determinant, relative to the lengths of its rows, below which a sample is degenerate."""
+MAX_IMAGINARY_PART = 1e-6  # Imaginary part, relative to the absolute value, up to which a root counts as real
+MIN_RELATIVE_DETERMINANT = 1e-10  # Determinant, relative to the lengths of its rows, below which a sample is degenerate
 
 
 def essential_candidates(
@@ -91,8 +88,7 @@ def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
     return action
 
 
-MAX_MODULUS_ERROR = 1e-4
-"""Distance of a root from the unit circle up to which it counts as a turn."""
+MAX_MODULUS_ERROR = 1e-4  # Distance of a root from the unit circle up to which it counts as a turn
 
 TURNS = math.radians(72.0) * np.arange(5)
 """Radians; a trigonometric polynomial of degree 2 follows from its values there."""

@@ -21,23 +21,15 @@ from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, su
 MIN_PARALLAX_PIXELS = 6.0
 """Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then."""
 
-MIN_SHARED_POINTS = 5
-"""Points that two pairs have to share for a ratio of their baselines."""
-
-MAX_SHARED_WEIGHT = 100
-"""Shared points beyond this make a ratio no more credible."""
+MIN_SHARED_POINTS = 5  # Points that two pairs have to share for a ratio of their baselines
+MAX_SHARED_WEIGHT = 100  # Shared points beyond this make a ratio no more credible
 
 EQUAL_LENGTH_WEIGHT = 0.01
 """Weight, in shared points, of baselines being equal: it decides only where nothing else does."""
 
-GIVEN_LENGTH_WEIGHT = 1e4
-"""Weight, in shared points, of a baseline that is given."""
-
-UNTOLD_WEIGHT = 1e-4
-"""Factor of the weight of pairs whose baseline's length is only assumed."""
-
-AVERAGING_ROUNDS = 50
-"""Of rotation averaging, each over all panoramas; a chain needs none."""
+GIVEN_LENGTH_WEIGHT = 1e4  # Weight, in shared points, of a baseline that is given
+UNTOLD_WEIGHT = 1e-4  # Factor of the weight of pairs whose baseline's length is only assumed
+AVERAGING_ROUNDS = 50  # Of rotation averaging, each over all panoramas; a chain needs none
 
 CONTRADICTION_ANGLE = math.radians(3.0)
 """Radians off the mean at which a pair has a quarter of its weight and from which on it contradicts the others.
@@ -47,8 +39,7 @@ Right pairs are off by tenths of a degree."""
 CONTRADICTION_RATIO = 1.25
 """Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %."""
 
-MAX_IN_PLACE_SHARE = 0.1
-"""Of the median distance of pairs: farther apart, two panoramas are not in one place."""
+MAX_IN_PLACE_SHARE = 0.1  # Of the median distance of pairs: farther apart, two panoramas are not in one place
 
 MIN_OTHER_MATCHES = 15
 """Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions."""
@@ -138,16 +129,11 @@ def consistent_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray])
 
 
 def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *, is_ordered: bool) -> list[Edge]:
-    """Those whose directions and ratios of lengths fit one set of positions.
+    """Those whose directions and ratios of lengths fit one set of positions, given averaged rotations.
 
     Repeated tiles shift a camera without turning it. While pairs contradict, the one without which fewest do is left
     out. Of equal ones neighbours in an order stay: distant pairs are misled more easily. Then it is the one whose other
-    matches agree best with the pose that the rest implies, or the longest one.
-
-    Args:
-        edges: between panoramas that have rotations, which they connect.
-        rotations: averaged ones.
-        is_ordered: panoramas are numbered in walking order.
+    matches agree best with the pose that the rest implies, or the longest one. Edges connect all that have rotations.
     """
     edges, ratios = list(edges), length_ratios(edges)
     _, contradicts = _positions_and_contradictions(edges, rotations, ratios)

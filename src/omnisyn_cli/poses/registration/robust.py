@@ -34,8 +34,7 @@ from omnisyn_cli.poses.registration.minimal_solvers import (
     upright_essential_candidates,
 )
 
-MIN_MATCHES = 8
-"""Five determine a pose; three more have to agree with it."""
+MIN_MATCHES = 8  # Five determine a pose; three more have to agree with it
 
 MAX_LOG_FALSE_ALARMS = -7.0
 """Decimal logarithm of the number of poses that as many matches would agree with by chance.
@@ -60,8 +59,7 @@ known, and of two that also stand at one height."""
 MIN_CHANCE = 1e-4
 """Least probability that is assumed of a wrong match to agree; fewer samples than its inverse cannot tell it."""
 
-CHANCE_SAMPLES = 150
-"""Matches whose directions are paired at random, each with each, to find that probability."""
+CHANCE_SAMPLES = 150  # Matches whose directions are paired at random, each with each, to find that probability
 
 DISTINCT_ANGLE, FINE_DISTINCT_ANGLE = math.radians(5.0), math.radians(2.0)
 """Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing. The
@@ -73,31 +71,23 @@ CROWDED_ANGLE = math.radians(10.0)
 A floor of equal tiles has hundreds of matches, all consistently wrong by some tiles, in a small part of the sphere.
 """
 
-MIN_TURN_INLIERS = 12
-"""Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does."""
+MIN_TURN_INLIERS = 12  # Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does
 
 FORWARD_POSE = Pose(np.eye(3), FORWARD)
 
-MIN_INLIER_SHARE = 0.08
-"""Share of all matches that have to agree with a pose at least."""
+MIN_INLIER_SHARE = 0.08  # Share of all matches that have to agree with a pose at least
 
 INLIER_THRESHOLD_PIXELS = 1.0
 """Pixels (of the searched image) from its epipolar circle within which a match is an inlier."""
 
-SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30
-"""Samples that are drawn at once, and how many times at most."""
+SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30  # Samples that are drawn at once, and how many times at most
 
 UPRIGHT_SCALE = 4.0
 """Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree."""
 
-CONFIDENCE = 0.9999
-"""Probability that a sample without a wrong match was among those drawn."""
-
-HYPOTHESES_PER_CHUNK = 256
-"""Hypotheses that are scored at once, which bounds memory."""
-
-REFINED_HYPOTHESES = 10
-"""Hypotheses that are refined."""
+CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among those drawn
+HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
+REFINED_HYPOTHESES = 10  # Hypotheses that are refined
 
 RIVAL_ANGLE = math.radians(5.0)
 """Radians of rotation or direction from which on a known pose contradicts the one that costs least. The one that is
@@ -109,8 +99,7 @@ CLEAR_SHARE = 0.6
 MIN_ROTATION_ONLY_SHARE = 0.9
 """Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place."""
 
-MAX_DIRECTION_STD = 0.2
-"""Radians; a baseline direction with a larger standard deviation counts as unknown."""
+MAX_DIRECTION_STD = 0.2  # Radians; a baseline direction with a larger standard deviation counts as unknown
 
 
 @dataclass(frozen=True)

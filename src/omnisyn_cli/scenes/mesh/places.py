@@ -8,44 +8,24 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.scenes.mesh.lighting import sphere_directions
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.render import sphere_directions
 
-EYE_HEIGHTS = (1.1, 1.9)
-"""Metres above the floor."""
-
-CLEARANCE = 0.3
-"""Metres to the nearest surface, at least."""
-
-RAYS = 96
-"""That a place is judged by."""
-
-MIN_ENCLOSED_SHARE = 0.52
-"""Share of the rays that hit something; an empty plane alone is half."""
-
-MIN_FLOOR_SHARE = 0.95
-"""Share of the rays below a place that hit something."""
+EYE_HEIGHTS = (1.1, 1.9)  # Metres above the floor
+CLEARANCE = 0.3  # Metres to the nearest surface, at least
+RAYS = 96  # That a place is judged by
+MIN_ENCLOSED_SHARE = 0.52  # Share of the rays that hit something; an empty plane alone is half
+MIN_FLOOR_SHARE = 0.95  # Share of the rays below a place that hit something
 
 BETWEEN_SHELLS = (0.4, 0.6)
 """Share of surfaces seen from behind, in the gap between two shells; inside or outside it is nearly none or all."""
 
-LEVEL = 0.8
-"""Least cosine between the normal of a floor and up."""
-
-NEAR_MEDIAN = 0.6
-"""Metres: places whose median distance is less are inside of things."""
-
-BASELINES = (0.12, 2.4)
-"""Of walks, in median distances."""
-
-LONGEST_WALK = 12.0
-"""Metres."""
-
-ATTEMPTS = 200
-"""Places that are drawn before a mesh is given up. Set by hand."""
-
-PLACES = 40
-"""That a walk begins at one of."""
+LEVEL = 0.8  # Least cosine between the normal of a floor and up
+NEAR_MEDIAN = 0.6  # Metres: places whose median distance is less are inside of things
+BASELINES = (0.12, 2.4)  # Of walks, in median distances
+LONGEST_WALK = 12.0  # Metres
+ATTEMPTS = 200  # Places that are drawn before a mesh is given up. Set by hand.
+PLACES = 40  # That a walk begins at one of
 
 
 @dataclass(frozen=True)

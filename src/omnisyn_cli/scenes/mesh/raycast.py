@@ -9,17 +9,10 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 
-LAYERS = 8
-"""Surfaces with holes that a ray passes at most."""
-
-STEP = 1e-4
-"""Metres, and share of the distance, by which a ray goes on behind a hole."""
-
-OPAQUE = 128
-"""Least opacity that stops a ray."""
-
-MISS_DISTANCE_BOUND = 1e30
-"""Embree's distance where there is nothing is beyond this."""
+LAYERS = 8  # Surfaces with holes that a ray passes at most
+STEP = 1e-4  # Metres, and share of the distance, by which a ray goes on behind a hole
+OPAQUE = 128  # Least opacity that stops a ray
+MISS_DISTANCE_BOUND = 1e30  # Embree's distance where there is nothing is beyond this
 
 
 @dataclass(frozen=True)

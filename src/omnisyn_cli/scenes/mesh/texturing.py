@@ -13,11 +13,8 @@ from jaxtyping import Bool, Float, UInt8
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 from omnisyn_cli.scenes.mesh.raycast import Hits, MeshCaster
 
-SHINING = 3.0
-"""Light of what is emissive."""
-
-MIP_LEVELS = 10
-"""At most: textures of 1024 texels come down to 2."""
+SHINING = 3.0  # Light of what is emissive
+MIP_LEVELS = 10  # At most: textures of 1024 texels come down to 2
 
 
 class SurfaceColours:
@@ -131,23 +128,15 @@ def untextured_share(mesh: TexturedMesh) -> float:
     return float(areas[plain].sum() / max(areas.sum(), 1e-12))
 
 
-SCALES = (0.75, 1.35)
-"""Least and largest factor of the size. Set by hand."""
-
-DROP_CHANCE = 0.12
-"""Chance that a small material's faces are left out."""
-
-MAX_DROPPED_AREA_SHARE = 0.04
-"""Share of the area up to which a material may be left out."""
+SCALES = (0.75, 1.35)  # Least and largest factor of the size. Set by hand.
+DROP_CHANCE = 0.12  # Chance that a small material's faces are left out
+MAX_DROPPED_AREA_SHARE = 0.04  # Share of the area up to which a material may be left out
 
 PHOTO_SHARES = (0.0, 0.8)
 """Share of the materials without texture that get a photograph, between which a scene draws its own."""
 
-REPLACEMENT_CHANCE = 0.15
-"""Chance that a textured material gets another photograph."""
-
-TILES = (0.4, 4.0)
-"""Metres that a photograph spans."""
+REPLACEMENT_CHANCE = 0.15  # Chance that a textured material gets another photograph
+TILES = (0.4, 4.0)  # Metres that a photograph spans
 
 Photos = Sequence[UInt8[np.ndarray, "height width 3"]]
 """Photographs of surfaces."""
