@@ -37,7 +37,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     " [default: by the output's ending, else glb]",
 )  # fmt: skip
 @click.option(
-    "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096, show_default=True,
+    "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096,
     help="Maximum width of the textures in a GLB, and of panoramas in a site.",
 )  # fmt: skip
 @click.option(
@@ -46,11 +46,10 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="Distance of points or discs in pixels of the depth.  [default: 1; 4 in data sets]",
 )
 @click.option(
-    "--sky/--no-sky", default=None,
-    help="Put the sky on the dome.  [default: sky for glb and splats, else no-sky]",
-)  # fmt: skip
+    "--sky/--no-sky", default=None, help="Put the sky on the dome.  [default: sky for glb and splats, else no-sky]"
+)
 @click.option(
-    "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0, show_default=True,
+    "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0,
     help="Radius of the sphere around each panorama that holds everything farther away.",
 )  # fmt: skip
 @click.option(

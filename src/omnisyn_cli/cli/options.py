@@ -26,7 +26,7 @@ def listed(registry: Mapping[str, Any]) -> str:
 
 def device_option(what: str) -> Callable[[Any], Any]:
     """Where networks, or what is said, run."""
-    return click.option("--device", type=click.Choice(DEVICES), default="auto", show_default=True, help=what)
+    return click.option("--device", type=click.Choice(DEVICES), default="auto", help=what)
 
 
 def json_option(what: str) -> Callable[[Any], Any]:
@@ -37,9 +37,8 @@ def json_option(what: str) -> Callable[[Any], Any]:
 def report_option(what: str) -> Callable[[Any], Any]:
     """The folder of a run that can be gone on with."""
     return click.option(
-        "--report", metavar="DIR", type=FilePath(),
-        help=f"Keep {what} here. An interrupted run resumes from them.",
-    )  # fmt: skip
+        "--report", metavar="DIR", type=FilePath(), help=f"Keep {what} here. An interrupted run resumes from them."
+    )
 
 
 threads_option = click.option(
@@ -58,12 +57,12 @@ masks_option = click.option(
 )  # fmt: skip
 
 cap_option = click.option(
-    "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0,
+    "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0, show_default=False,
     help="Mask a cap of this radius around straight down, such as a tripod or a car roof.",
 )  # fmt: skip
 
 nadir_option = click.option(
-    "--nadir", metavar="DEGREES|auto", type=NadirRange(), default="auto", show_default=True,
+    "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
     help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
 )  # fmt: skip
 
@@ -94,7 +93,7 @@ tour_options = all_of(
 
 depth_options = all_of(
     click.option(
-        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
+        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto",
         help=f"Source of depth. {listed(DEPTH_SOURCES)}; auto: files if every panorama has one, else the preset's.",
     ),
     click.option(
@@ -106,7 +105,7 @@ depth_options = all_of(
         "the preset's]",
     ),
     click.option(
-        "--depth-prior-kind", metavar="WORDS", default="",
+        "--depth-prior-kind", metavar="WORDS", default="", show_default=False,
         help="What its file does not say, such as perspective,inverse-depth.",
     ),
 )  # fmt: skip
@@ -138,7 +137,7 @@ reading_options = all_of(
         help="Vertical angle of such panoramas.  [default: follows from --hfov]",
     ),
     click.option(
-        "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5, show_default=True,
+        "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5,
         help="Height of their horizon, from 0 (top) to 1 (bottom).",
     ),
 )  # fmt: skip
@@ -148,18 +147,18 @@ size_options = all_of(
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
     reading_options,
     click.option(
-        "--view-transform/--no-view-transform", default=True,
+        "--view-transform/--no-view-transform", default=True, show_default=False,
         help="Tone-map linear light of EXR and HDR files for screens, or keep its numbers.  [default: tone-map]",
     ),
     click.option(
-        "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
+        "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192,
         help="Refuse panoramas, masks and depth files with more pixels, before decoding.",
     ),
 )  # fmt: skip
 """What of unusual panoramas is accepted."""
 
 preset_option = click.option(
-    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET,
+    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=False,
     help="Speed against accuracy: seconds of one slow core for 90 frames of 1024x512, and their WS-PSNR.\n\n\b\n"
     + "\n".join(f"{name:9} {preset.summary}" for name, preset in PRESETS.items()),
 )  # fmt: skip
@@ -176,9 +175,7 @@ surface_options = all_of(
 def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, Any]:
     """Options in which the panoramas of a folder, the pose file and the output are named, whoever named them.
 
-    Args:
-        options: with those of :data:`tour_options`, ``output`` and ``allow_outside``; perhaps with a ``path``.
-        ending: that of the output if nobody named it, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
+    An output that nobody named has this ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
     """
     from omnisyn_cli.interpolation.inputs import along_path, named_tour, poses_beside
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES

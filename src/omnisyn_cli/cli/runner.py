@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from omnisyn_cli.cli.machine import leftover_notes, memory_notes
 from omnisyn_cli.cli.options import print_plan
-from omnisyn_cli.cli.progress import say_when_compiling, shown_stages
+from omnisyn_cli.cli.progress import leftover_notes, memory_notes, say_when_compiling, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
@@ -34,19 +33,10 @@ def run_job(
     frames: Callable[[P], int] = lambda plan: 0,
     is_report_possible: bool = True,
 ) -> S | None:
-    """Plan a job, print the plan and stop, or carry it out.
+    """Plan a job by ``plan_of``, print the plan and stop, or carry it out, and print by ``report`` what was done.
 
-    Args:
-        job: what is asked for.
-        plan_of: checks it.
-        load: imports what carries it out, which is called with the plan and what counts its frames.
-        report: prints for people what was done.
-        as_json: whether JSON is printed instead.
-        dry_run: whether nothing is to be made.
-        quiet: whether nothing but errors is printed.
-        expected: what else is said of the plan.
-        frames: how many are made.
-        is_report_possible: whether the panoramas are still there when the command has ended.
+    ``load`` imports what carries it out, which is called with the plan and what counts its ``frames``. ``expected`` is
+    what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
     from omnisyn_cli.io.locks import claimed

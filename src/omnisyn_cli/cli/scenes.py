@@ -1,17 +1,23 @@
 """``omnisyn scenes``: procedural panoramas with exact depth and poses."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.lazy import PlainGroup
+from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.options import quiet_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
-from omnisyn_cli.cli.scenes_render import render
 from omnisyn_cli.cli.terminal import say
+
+if TYPE_CHECKING:
+    from omnisyn_cli.geometry.pose import Pose
+    from omnisyn_cli.scenes.mesh import MeshScene
 
 KINDS = ("street", "room", "home")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
@@ -28,9 +34,6 @@ def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
 
 
-scenes.add_command(render)
-
-
 SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
 """Parameters that the standard set has not fixed."""
 
@@ -41,25 +44,18 @@ SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
     "--suite", is_flag=True,
     help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, with three frames between.",
 )  # fmt: skip
-@click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="Kind of scene.")
-@click.option(
-    "--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of the first scene; the next ones count up."
-)
-@click.option(
-    "--count", type=WholeRange(1), default=1, show_default=True,
-    help="Number of scenes; above 1 each gets a folder in OUT.",
-)  # fmt: skip
-@click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
-@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
+@click.option("--kind", type=click.Choice(KINDS), default="street", help="Kind of scene.")
+@click.option("--seed", type=WholeRange(0), default=0, help="Seed of the first scene; the next ones count up.")
+@click.option("--count", type=WholeRange(1), default=1, help="Number of scenes; above 1 each gets a folder in OUT.")
+@click.option("--frames", type=WholeRange(1), default=3, help="Panoramas on a straight line.")
+@click.option("--size", type=Size(), default="1024x512", help="Size of the panoramas.")
 @click.option(
     "--baseline", type=FiniteRange(0, min_open=True),
     help="Metres from the first panorama to the last.  [default: random]",
 )  # fmt: skip
-@click.option("--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Camera tilt in degrees.")
+@click.option("--tilt", type=FiniteRange(0, 90), default=0.0, help="Camera tilt in degrees.")
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
-@click.option(
-    "--supersample", type=WholeRange(1, 8), default=3, show_default=True, help="Samples per pixel along each axis."
-)
+@click.option("--supersample", type=WholeRange(1, 8), default=3, help="Samples per pixel along each axis.")
 @click.option(
     "--name", "names", multiple=True, help="Image file of a frame, once per frame.  [default: 0000.png, 0001.png, ...]"
 )
@@ -171,3 +167,141 @@ def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     if folder.is_dir():
         for file in files:
             check_output(folder / file, overwrite)
+
+
+MEDIUM_TEXTURE = 0.5
+"""Share of the area without texture from which on a line says so."""
+
+
+@scenes.command()
+@click.argument("meshes", nargs=-1, required=True, type=FilePath(dir_okay=False))
+@click.option("-o", "--output", required=True, type=FilePath(file_okay=False), help="Folder to write.")
+@click.option("--count", type=WholeRange(1), default=1, help="Walks through each mesh.")
+@click.option("--frames", type=WholeRange(1), default=3, help="Panoramas on a straight line.")
+@click.option("--poses", type=FilePath(dir_okay=False), help="Pose file of the cameras, in the mesh's frame, y up.")
+@click.option("--size", type=Size(), default="1024x512", help="Size of the panoramas.")
+@click.option("--scale", type=FiniteRange(0, min_open=True), default=1.0, help="Metres per unit.")
+@click.option("--z-up", is_flag=True, help="The z axis of the files is up, instead of y.")
+@click.option("--unlit", is_flag=True, help="Show textures without lighting, as for scans.")
+@click.option("--textures", type=FilePath(file_okay=False), help="Photographs for surfaces without texture.")
+@click.option("--light-rays", type=WholeRange(4, 1024), default=64, help="Light rays per pixel.")
+@click.option("--supersample", type=WholeRange(1, 8), default=2, help="Samples per pixel along each axis.")
+@click.option("--seed", type=WholeRange(0), default=0, help="Seed of walks and lighting.")
+@click.option("--pool", is_flag=True, help="Write training scenes (.npz) for `omnisyn train recipe` instead.")
+@click.option("--no-depth", is_flag=True, help="Write no depth files.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@quiet_option
+def render(
+    meshes: tuple[Path, ...], output: Path, count: int, frames: int, poses: Path | None, size: tuple[int, int],
+    scale: float, z_up: bool, unlit: bool, textures: Path | None, light_rays: int, supersample: int, seed: int,
+    pool: bool, no_depth: bool, overwrite: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Render walks through textured MESHES (glTF, OBJ, PLY).
+
+    The output is that of `scenes make`: panoramas, their depth (EXR, metres) and poses.json.
+
+    Cameras stand at eye height in free space, on straight lines that the program finds, or at --poses. Light comes from
+    light maps if there are any, else from the sky, lamps and other surfaces. Several walks get a folder each.
+
+    Needs `pip install "omnisyn-cli[scenes]"`.
+    """
+    from omnisyn_cli.io import read_photographs
+
+    if pool and (poses is not None or frames < 2):
+        raise click.UsageError("expected --pool with at least 2 --frames and without --poses; leave one out")
+    if poses is not None and count > 1:
+        raise click.UsageError("expected --poses without --count, as they are the same cameras; leave one out")
+    photos = [] if textures is None else read_photographs(textures)
+    several = len(meshes) * count > 1
+    for number, path in enumerate(meshes):
+        mesh = _mesh(path, scale, photos, seed, z_up=z_up, unlit=unlit, quiet=quiet)
+        for walk in range(count):
+            name = f"{path.stem if path.stem != 'scene' else path.parent.name}_{number:02d}_{walk:04d}"
+            scene, line = _walk(mesh, path, (seed, number, walk), frames, poses, light_rays)
+            if pool:
+                target = _write_walk(output / f"{name}.npz", scene, line, size, supersample, overwrite)
+            else:
+                target = output / name if several else output
+                _write_folder(target, scene, line, size, supersample, no_depth, overwrite)
+            if not quiet:
+                say(f"{target}: {len(line)} panorama{'s' * (len(line) > 1)}", err=True)
+
+
+def _mesh(path: Path, scale: float, photos: list[Any], seed: int, *, z_up: bool, unlit: bool, quiet: bool) -> Any:
+    """The mesh, as it is rendered; InputError unless there is something to see on it."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from omnisyn_cli.errors import InputError
+    from omnisyn_cli.io.meshes import read_mesh
+    from omnisyn_cli.scenes.mesh import papered_mesh, untextured_share
+
+    mesh = read_mesh(path, scale, z_up=z_up)
+    plain = untextured_share(mesh)
+    if plain == 1.0 and not photos:
+        raise InputError(f"expected textures or vertex colours in {path}, found none; give photographs (--textures)")
+    if plain > MEDIUM_TEXTURE and not photos and not quiet:
+        say(f"{path}: {plain:.0%} of the area has no texture; --textures would paper it", err=True)
+    if photos:
+        mesh = papered_mesh(mesh, np.random.default_rng([32, seed]), photos)
+    if unlit:
+        mesh = replace(mesh, materials=tuple(replace(material, is_lit=True) for material in mesh.materials))
+    return mesh
+
+
+def _walk(
+    mesh: Any, path: Path, seeds: tuple[int, ...], frames: int, poses: Path | None, light_rays: int
+) -> tuple[MeshScene, dict[str, Pose]]:
+    """The lit scene, and a pose for each image."""
+    import numpy as np
+
+    from omnisyn_cli.errors import InputError
+    from omnisyn_cli.poses.file import read_poses
+    from omnisyn_cli.scenes.mesh import MeshCaster, MeshScene, draw_lighting, find_walk
+
+    caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])
+    if poses is not None:
+        line = {name: panorama.pose for name, panorama in read_poses(poses).panoramas.items()}
+    else:
+        found = find_walk(caster, rng, frames)
+        if found is None:
+            raise InputError(
+                f"expected a floor in {path} with free space at eye height and something around it, found none; "
+                "check --scale and --z-up, or give cameras (--poses)"
+            )
+        line = {f"{frame:04d}.png": pose for frame, pose in enumerate(found)}
+    first = next(iter(line.values()))
+    scene = MeshScene.of(mesh, draw_lighting(caster, rng, first.position, light_rays), caster)
+    return scene.exposed_at(first), line
+
+
+def _write_folder(
+    folder: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int,
+    no_depth: bool, overwrite: bool,
+) -> None:  # fmt: skip
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
+    from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
+    from omnisyn_cli.scenes.mesh import render_mesh
+
+    files = files_of_scene(line, with_depth=not no_depth)
+    for file in files if folder.is_dir() else []:
+        check_output(folder / file, overwrite)
+    make_folder(folder.parent, "scenes")
+    with staged_folder(folder, overwrite=overwrite) as staged:
+        write_renderings(
+            staged, lambda pose: render_mesh(scene, pose, size, supersample=supersample), line, with_depth=not no_depth
+        )
+
+
+def _write_walk(
+    path: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int, overwrite: bool
+) -> Path:
+    from omnisyn_cli.io.outputs import check_output, make_folder
+    from omnisyn_cli.training.data import save_samples
+    from omnisyn_cli.training.walks import mesh_walk
+
+    make_folder(path.parent, "a pool")
+    check_output(path, overwrite)
+    save_samples(path, [mesh_walk(scene, list(line.values()), size, supersample)])
+    return path

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli import train_pools
-from omnisyn_cli.cli.lazy import PlainGroup
+from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FiniteRange, WholeRange
 from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, defaulted, run_options, whole_option
@@ -145,7 +145,7 @@ def _beginning(chosen: str, role: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _train(
-    network: Any, name: str, folder: Path, minutes: float | None, steps: int | None, threads: int, device: str,
+    network: Any, name: str, folder: Path, minutes: float | None, steps: int | None, threads: int | None, device: str,
     begin_with: Path | None, pool: Path, validation_pool: Path, height: int | None = None,
     weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
@@ -184,3 +184,6 @@ def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     check_output(output, overwrite)
     check_kept([output], [checkpoint])
     save_checkpoint(output, compact(load_checkpoint(checkpoint)))
+
+
+train.commands = dict(sorted(train.commands.items()))  # as they are listed

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.evaluate import LAYOUTS
+from omnisyn_cli.cli.evaluate import layout_option
 from omnisyn_cli.cli.options import all_of, device_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
@@ -24,7 +24,7 @@ MINUTES = click.option("--minutes", type=FiniteRange(0), help="Stop after this t
 """An option of all runs."""
 
 MACHINE = (
-    click.option("--threads", default=0, type=WholeRange(0), help="Processor threads. [default: all]"),
+    click.option("--threads", type=WholeRange(0), help="Processor threads. [default: all]"),
     device_option("auto uses bfloat16 if the machine has it."),
 )
 """Options of all runs: where they compute."""
@@ -32,7 +32,7 @@ MACHINE = (
 
 def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
     """An option whose default is shown."""
-    return click.option(name, default=default, show_default=True, help=what, **more)
+    return click.option(name, default=default, help=what, **more)
 
 
 def whole_option(name: str, default: int, least: int, what: str) -> Callable[..., Any]:
@@ -78,9 +78,7 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.command()
 @click.argument("dataset", type=FOLDER)
 @click.argument("folder", type=FOLDER)
-@click.option(
-    "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
-)
+@layout_option
 @defaulted("--pairs", "every:1", "Pairs of frames, see omnisyn eval.", metavar="0:4|every:N|FILE")
 @_height_option("view")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
@@ -197,7 +195,7 @@ def _fill(
 @all_of(*MACHINE)
 def recipe(
     recipe: Path, folder: Path, meshes: Path | None, held_out: tuple[str, ...], mesh_scale: tuple[str, ...],
-    encoder: Path | None, minutes: float | None, threads: int, device: str, **options: Any,
+    encoder: Path | None, minutes: float | None, threads: int | None, device: str, **options: Any,
 ) -> None:  # fmt: skip
     """Train a network by RECIPE in FOLDER, stage after stage, or continue the run there.
 
@@ -215,7 +213,7 @@ def recipe(
     train_recipe(plan, folder, meshes=source, encoder=_encoder(encoder), **options)
 
 
-def run_options(folder: Path, minutes: float | None, threads: int, device: str) -> dict[str, Any]:
+def run_options(folder: Path, minutes: float | None, threads: int | None, device: str) -> dict[str, Any]:
     """What every run is told: its end, where it computes, and whom it reports to."""
     import torch
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -33,7 +32,7 @@ OPENER_SECONDS = 2.0
     help="Page (.html), or a folder with --folder.  [default: FOLDER.html or A-C.html, here]",
 )  # fmt: skip
 @click.option(
-    "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096, show_default=True,
+    "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096,
     help="Maximum width of the photographs in the page.",
 )  # fmt: skip
 @click.option("--lossless", is_flag=True, help="Store photographs as PNG, several times as large as JPEG.")
@@ -42,7 +41,7 @@ OPENER_SECONDS = 2.0
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
 @surface_options
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
+    "--fallback", type=click.Choice(FALLBACKS), default="soft",
     help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded photographs; none: a "
     "warning; fail: exit code 3.",
 )  # fmt: skip
@@ -71,7 +70,7 @@ def view(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
+    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 
     check_one_cut(options)
     if serve and not folder:
@@ -79,20 +78,15 @@ def view(
     given = named(options, lambda: "-walk" if folder else ".html")
     job = ViewJob(texture=texture, is_lossless=lossless, is_folder=folder, **given)
     summary = run_job(
-        job, plan_view, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet
-    )
+        job, plan_view, lambda: run_view, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run,
+        quiet=quiet,
+    )  # fmt: skip
     if summary is None:
         return
     if serve:
         _serve(job.output, is_opened=is_opened, is_quiet=quiet)
     elif is_opened:
         _open(str((job.output / "index.html" if folder else job.output).absolute()))
-
-
-def _load() -> Callable[..., TourSummary]:
-    from omnisyn_cli.interpolation.viewer.run import run_view
-
-    return run_view
 
 
 def _said(summary: TourSummary) -> str:
