@@ -117,9 +117,8 @@ class PlainGroup(click.Group):
 class LazyGroup(PlainGroup):
     """A group whose commands are imported when they are called.
 
-    Args:
-        lazy: module and one-line help of every command, in the order in which a newcomer needs them. The command has
-            the name of its key, with ``_`` for ``-``, and one more at the end where that is a word of Python's.
+    ``lazy`` has the module and one-line help of each. The command has the name of its key, with ``_`` for ``-``, and
+    one more at the end where that is a word of Python's.
     """
 
     def __init__(self, *, lazy: Mapping[str, tuple[str, str]], **options: Any) -> None:

@@ -223,8 +223,8 @@ def _views(given: tuple[Path, ...]) -> dict[str, Any]:
 def _frames_of_video(options: dict[str, Any], every: float | None) -> dict[str, Any]:
     """Panoramas, poses and output where one video is given; its frames are there as long as the command runs."""
     from omnisyn_cli.interpolation.inputs import video_ending
+    from omnisyn_cli.io.ffmpeg_process import VIDEO_SUFFIXES, frames_of_video
     from omnisyn_cli.io.outputs import check_kept
-    from omnisyn_cli.io.video_frames import VIDEO_SUFFIXES, frames_of_video
 
     video, *others = options["images"]
     is_video = not others and video.suffix.lower() in VIDEO_SUFFIXES

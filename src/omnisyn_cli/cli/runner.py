@@ -39,7 +39,7 @@ def run_job(
     what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
-    from omnisyn_cli.io.locks import claimed
+    from omnisyn_cli.io.outputs import claimed
 
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
         for note in leftover_notes(job.output):  # before the output is refused

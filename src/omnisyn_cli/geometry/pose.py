@@ -22,15 +22,10 @@ SMALL_ANGLE = 1e-8
 
 @dataclass(frozen=True)
 class Pose:
-    """Camera-to-world transform.
+    """Camera-to-world transform."""
 
-    Attributes:
-        rotation: ``(*batch, 3, 3)`` orthonormal, determinant +1.
-        position: ``(*batch, 3)`` optical centre in the world, metres.
-    """
-
-    rotation: Float[np.ndarray, "*batch 3 3"]
-    position: Float[np.ndarray, "*batch 3"]
+    rotation: Float[np.ndarray, "*batch 3 3"]  # orthonormal, determinant +1
+    position: Float[np.ndarray, "*batch 3"]  # optical centre in the world, metres
 
     @staticmethod
     def identity() -> Pose:

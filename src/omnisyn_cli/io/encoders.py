@@ -13,7 +13,7 @@ import ffmpeg
 import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
-from omnisyn_cli.io.sequence import is_ambiguous
+from omnisyn_cli.io.encode import is_ambiguous
 
 X26X_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",

@@ -3,17 +3,19 @@
 import os
 import signal
 import subprocess
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Self
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
-from omnisyn_cli.errors import EncodingError, WriteError
+from omnisyn_cli.errors import EncodingError, InputError, WriteError
+from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
 
 MAX_STDERR_LINES = 12
@@ -43,12 +45,8 @@ class EncoderProcess:
 
     As a context manager it is finished on a regular exit and killed on any exception, KeyboardInterrupt included.
 
-    Args:
-        command: reads raw frames from standard input.
-        target: what error messages call the output.
-        shape: of a frame, ``(height, width, 3)``.
-        dtype: of a frame, ``uint8`` or ``uint16``.
-        packed: makes of a contiguous frame what the command reads; by default it reads the frame as it is.
+    The command reads raw frames of ``shape`` (height, width, 3) and ``uint8`` or ``uint16`` from standard input, as
+    they are or as ``packed`` makes them of contiguous ones. Error messages call the output ``target``.
     """
 
     def __init__(
@@ -177,3 +175,32 @@ def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8
         words = " | ".join(done.stderr.decode("utf-8", "replace").split("\n")[:3])
         raise EncodingError(f"{path}: expected a video that ffmpeg can read, got '{words}'; make it again")
     yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)
+
+
+VIDEO_SUFFIXES = frozenset({".360", ".avi", ".insv", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
+"""Files that frames are taken from."""
+
+
+@contextmanager
+def frames_of_video(path: Path, seconds: float) -> Iterator[tuple[Path, ...]]:
+    """Frames at 0, ``seconds``, 2 · ``seconds`` …, as PNG files in the order of time.
+
+    Colours are taken for BT.709, as cameras for 360° write them. InputError: no video, or fewer than two frames.
+    """
+    check_is_file(path)
+    with tempfile.TemporaryDirectory(prefix="omnisyn-frames-") as folder:
+        choice = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t,{seconds:.6f}-0.5/30)'"
+        command = [
+            ffmpeg_program(), "-hide_banner", "-loglevel", "error", "-nostdin", "-protocol_whitelist", "file",
+            "-i", f"file:{path.absolute()}", "-map", "0:v:0", "-fps_mode", "passthrough",
+            "-vf", f"{choice},scale=in_color_matrix=bt709:flags=bicubic+accurate_rnd+full_chroma_int,format=rgb24",
+            "-compression_level", "1", str(Path(folder) / "frame%05d.png"),
+        ]  # fmt: skip
+        finished = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
+        frames = tuple(sorted(Path(folder).glob("*.png")))
+        if finished.returncode != 0 or not frames:
+            lines = finished.stderr.decode("utf-8", "replace").strip().splitlines() or ["no frames"]
+            raise InputError(f"{path}: expected a video, got '{lines[-1]:.200}'; export it as MP4")
+        if len(frames) < 2:
+            raise InputError(f"{path}: expected a video of more than {seconds:g} s, got one frame; take them closer")
+        yield frames

@@ -65,15 +65,10 @@ def read_panorama(
     its place in the full sphere and the rest is masked; grey becomes RGB; alpha becomes the mask; colours of an ICC
     profile become sRGB. Squeezed frames of 16:9 are stretched to 2:1.
 
-    Args:
-        path: JPEG, PNG, TIFF, EXR, HDR, WebP, JPEG XL, HEIC or AVIF.
-        allow_aspect: resample images that are not 2:1, as if their pixels were not square.
-        max_pixels: refuse larger images before decoding them.
-        reading: what the file does not say, and the size to which it is reduced.
-
-    Raises:
-        ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or
-            infinite samples.
+    JPEG, PNG, TIFF, EXR, HDR, WebP, JPEG XL, HEIC and AVIF are read. With ``allow_aspect`` images that are not 2:1 are
+    resampled, as if their pixels were not square. Larger images than ``max_pixels`` are refused before decoding.
+    ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or infinite
+    samples.
     """
     header, samples = decode_image(path, max_pixels=max_pixels)
     size = sphere_size(header, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)

@@ -42,17 +42,11 @@ MAX_SEGMENT_BYTES = 65533
 
 
 def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
-    """A JPEG with some XMP properties; everything else of it stays as it is, to the byte.
+    """A JPEG of these bytes with some XMP properties; everything else of it stays as it is, to the byte.
 
     Other properties of its packet stay too. A new packet takes the place of the old one, and its length if it fits.
-
-    Args:
-        path: of the file, for errors.
-        data: its bytes.
-        namespace: prefix and address of the properties.
-        values: texts by the names of the properties.
-
-    Raises ImageError: no JPEG, a damaged packet, or one that grows too large.
+    ``namespace`` is prefix and address of the properties; errors speak of ``path``.
+    ImageError: no JPEG, a damaged packet, or one that grows too large.
     """
     exif, packets = 2, []
     for marker, begin, end in _segments(path, data):
