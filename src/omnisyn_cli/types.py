@@ -34,12 +34,11 @@ __all__ = [
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
+# Colours of a lower weight count as unseen: alpha is interpolated, so beside a mask it is rarely exactly 0.
 MIN_VISIBLE_WEIGHT = np.float32(1e-4)
-"""Colours of a lower weight count as unseen: alpha is interpolated, so beside a mask it is rarely exactly 0."""
-
+# Confidence in the depth of a colour per unit of its weight, clipped to 1. Cut edges have a weight of a quarter, and
+# their depth is right.
 DEPTH_CONFIDENCE_GAIN = 4.0
-"""Confidence in the depth of a colour per unit of its weight, clipped to 1. Cut edges have a weight of a quarter, and
-their depth is right."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +117,9 @@ class DirectionTables(NamedTuple):
         return self._replace(sin_a=self.sin_a[cols], cos_a=self.cos_a[cols])
 
 
-EDGE_TILE_COLUMNS = 4
-"""Columns of pixels per entry of :attr:`EdgePixels.tile_begins`. Set by hand."""
-
+EDGE_TILE_COLUMNS = 4  # columns of pixels per entry of :attr:`EdgePixels.tile_begins`. Set by hand.
+# Rows of edge pixels are padded to a multiple of this: SIMD kernels process the samples of two pixels at a time.
 EDGE_PIXEL_MULTIPLE = 2
-"""Rows of edge pixels are padded to a multiple of this: SIMD kernels process the samples of two pixels at a time."""
 
 
 class EdgePixels(NamedTuple):

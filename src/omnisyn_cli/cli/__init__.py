@@ -31,6 +31,7 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 atexit.register(gc.disable)  # looking for garbage when all is given back anyway takes a twentieth of a dry run
 
+# Module and one-line help of every command; the command has the name of its key.
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make a 360° video between two or more panoramas."),
     "export": ("omnisyn_cli.cli.export", "Write panoramas and depth for other programs: GLB, PLY, COLMAP."),
@@ -45,7 +46,6 @@ COMMANDS = {
     "bench": ("omnisyn_cli.cli.evaluate", "Measure the cost and gain of settings on this machine."),
     "scenes": ("omnisyn_cli.cli.scenes", "Generate scenes with exact depth and poses."),
 }
-"""Module and one-line help of every command; the command has the name of its key."""
 
 
 @click.group(

@@ -19,8 +19,7 @@ from omnisyn_cli.errors import InputError
 if TYPE_CHECKING:
     from omnisyn_cli.batch.batch_runner import BatchReport, Progress
 
-MAX_SHOWN_JOBS = 20
-"""Failures in the table at the end; all of them are in results.jsonl and in --json."""
+MAX_SHOWN_JOBS = 20  # failures in the table at the end; all of them are in results.jsonl and in --json
 
 
 class _BatchCommand(click.Command):

@@ -19,11 +19,9 @@ if TYPE_CHECKING:
     from omnisyn_cli.evaluation.results import UnitRecord
     from omnisyn_cli.evaluation.tables import Table
 
+# Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them.
 LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
-"""Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
-
-TABLE_COLUMNS = 160
-"""Characters of a table that no terminal limits."""
+TABLE_COLUMNS = 160  # characters of a table that no terminal limits
 
 layout_option = click.option(
     "--format", "layout", type=click.Choice(LAYOUTS), default="auto", show_default=False,
@@ -174,8 +172,7 @@ def print_table(shown: Table, title: str | None = None) -> None:
             say(f"{row.name}: {row.reason}")
 
 
-QUICK_SIZE = (256, 512)
-"""Height and width of frames and scenes that ``--quick`` stands for."""
+QUICK_SIZE = (256, 512)  # height and width of frames and scenes that ``--quick`` stands for
 
 
 class ListOf(click.ParamType):  # type: ignore[type-arg]

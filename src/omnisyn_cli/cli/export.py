@@ -16,11 +16,9 @@ from omnisyn_cli.cli.terminal import say
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.export.formats import ExportSummary
 
-VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")
-"""Those of sites."""
-
+VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")  # those of sites
+# Those of :data:`omnisyn_cli.interpolation.export.formats.FORMATS`, written out as ``--help`` should not load them.
 FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
-"""Those of :data:`omnisyn_cli.interpolation.export.formats.FORMATS`, written out as ``--help`` should not load them."""
 
 
 @click.command(cls=SectionedCommand)

@@ -10,6 +10,7 @@ import click
 from omnisyn_cli.cli.failures import EXIT_CODES_LINE
 from omnisyn_cli.cli.terminal import printable
 
+# Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last.
 SECTIONS: Mapping[str, str] = {
     "Input": "every path poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect "
     "upper_half hfov vfov horizon view_transform max_pixels",
@@ -21,15 +22,13 @@ SECTIONS: Mapping[str, str] = {
     "For comparison": "method renderer fusion adaptive",
     "Other": "dry_run as_json verbose quiet help_all help",
 }
-"""Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last."""
-
+# Parameters that only ``--help-all`` lists.
 RARE_OPTIONS = (
     "refine", "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform",
     "max_pixels", "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
     "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
     "fov", "look", "method", "renderer", "fusion", "adaptive",
 )  # fmt: skip
-"""Parameters that only ``--help-all`` lists."""
 
 
 class SectionedCommand(click.Command):

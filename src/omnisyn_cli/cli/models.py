@@ -17,8 +17,7 @@ from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 if TYPE_CHECKING:
     from omnisyn_cli.runtime.models import ModelEntry
 
-HEADER = ("name", "role", "size", "parameters", "hours", "purpose")
-"""Columns of the table of networks."""
+HEADER = ("name", "role", "size", "parameters", "hours", "purpose")  # columns of the table of networks
 
 
 @click.command()
@@ -73,8 +72,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-FOLDER = FilePath(file_okay=False)
-"""A click type: any path that is no file."""
+FOLDER = FilePath(file_okay=False)  # a click type: any path that is no file
 
 
 @click.command("export-onnx")

@@ -30,18 +30,17 @@ if TYPE_CHECKING:
     from omnisyn_cli.poses.formats import Origin
 
 
+# ``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them.
 IMPORT_FORMATS = (
     "auto", "exif", "table", "colmap", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind", "authors",
 )  # fmt: skip
-"""``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them."""
-
+# Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise.
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
-"""Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise."""
 
 CAMERA_AXES = ("opengl", "opencv", "flu")
 
+# What a user may call up: an axis of the positions, or what the cameras hold upright.
 UP_AXES = ("y", "-y", "z", "-z", "cameras")
-"""What a user may call up: an axis of the positions, or what the cameras hold upright."""
 
 ROLL_DIRECTIONS = ("counter-clockwise", "clockwise")
 

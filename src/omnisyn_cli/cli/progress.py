@@ -18,11 +18,9 @@ from omnisyn_cli.cli.terminal import printable, say
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
+# Printed once, before the first run compiles.
 COMPILING_NOTE = "note: compiling kernels for the first run of this kind: about half a minute"
-"""Printed once, before the first run compiles."""
-
-MIN_BAR_SECONDS = 1.5
-"""Seconds of compiling that nobody needs to be told about."""
+MIN_BAR_SECONDS = 1.5  # seconds of compiling that nobody needs to be told about
 
 COMPILING_AGAIN = (
     "note: compiling the kernels, about a minute each time: there is no place to keep them; set NUMBA_CACHE_DIR to a "
@@ -94,6 +92,7 @@ def counted_bar(
             yield show
 
 
+# What is said of each stage, in order.
 STAGES: Mapping[str, str] = {
     "poses": "finding poses",
     "reading": "reading panoramas",
@@ -101,15 +100,11 @@ STAGES: Mapping[str, str] = {
     "frames": "making frames",
     "writing": "writing",
 }
-"""What is said of each stage, in order."""
-
-UNCOUNTED_STAGES = ("poses", "reading")
-"""Stages that are over when the next one begins."""
-
+UNCOUNTED_STAGES = ("poses", "reading")  # stages that are over when the next one begins
+# The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to.
 STAGE_OF_CLOCK: Mapping[str, str] = {
     "decode": "reading", "depth": "depth", "pack": "writing", "write": "writing",
 }  # fmt: skip
-"""The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to."""
 
 
 class Stages:
@@ -203,8 +198,7 @@ def shown_stages(*, is_quiet: bool) -> Iterator[Stages]:
         yield Stages(bars, is_quiet=is_quiet)
 
 
-CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
-"""Where Linux says what a container may have: bytes, or ``max``."""
+CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # where Linux says what a container may have: bytes, or ``max``
 
 
 def memory_notes(expected: float) -> Iterator[str]:

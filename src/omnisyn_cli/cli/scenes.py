@@ -19,14 +19,13 @@ if TYPE_CHECKING:
     from omnisyn_cli.geometry.pose import Pose
     from omnisyn_cli.scenes.mesh import MeshScene
 
+# What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them.
 KINDS = ("street", "room", "home")
-"""What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
-
+# Of every command that makes scenes.
 TEXTURES = click.option(
     "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
     help="Photographs to use as materials of walls, floors, fronts, pictures and objects.",
 )  # fmt: skip
-"""Of every command that makes scenes."""
 
 
 @click.group(cls=PlainGroup)
@@ -34,8 +33,8 @@ def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
 
 
+# Parameters that the standard set has not fixed.
 SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
-"""Parameters that the standard set has not fixed."""
 
 
 @scenes.command()
@@ -169,8 +168,7 @@ def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
             check_output(folder / file, overwrite)
 
 
-MEDIUM_TEXTURE = 0.5
-"""Share of the area without texture from which on a line says so."""
+MEDIUM_TEXTURE = 0.5  # share of the area without texture from which on a line says so
 
 
 @scenes.command()

@@ -12,8 +12,8 @@ from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FiniteRange, WholeRange
 from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, defaulted, run_options, whole_option
 
+# Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long.
 SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
-"""Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""
 
 
 @click.group(cls=PlainGroup)

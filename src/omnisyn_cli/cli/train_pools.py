@@ -14,20 +14,17 @@ from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
+# Click types: any path that is no file, and any that is no folder.
 FOLDER, FILE = FilePath(file_okay=False), FilePath(dir_okay=False)
-"""Click types: any path that is no file, and any that is no folder."""
-
+# Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them.
 POOL_MULTIPLE = 64
-"""Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them."""
-
+# An option of all runs.
 MINUTES = click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]")
-"""An option of all runs."""
-
+# Options of all runs: where they compute.
 MACHINE = (
     click.option("--threads", type=WholeRange(0), help="Processor threads. [default: all]"),
     device_option("auto uses bfloat16 if the machine has it."),
 )
-"""Options of all runs: where they compute."""
 
 
 def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
@@ -54,8 +51,8 @@ def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]
     )
 
 
+# Options of all commands that render scenes.
 RENDERING = all_of(whole_option("--workers", 1, 1, "Number of processes, at low priority."), TEXTURES)
-"""Options of all commands that render scenes."""
 
 
 @click.command()
@@ -264,5 +261,4 @@ def _encoder(path: Path | None) -> Any:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)
-"""All of this module."""
+COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)  # all of this module

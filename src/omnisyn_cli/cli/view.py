@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 
     from omnisyn_cli.interpolation.summary import TourSummary
 
-LINUX_OPENER = "xdg-open"
-"""Finds the browser, or, with many lines of its own, none."""
-
-OPENER_SECONDS = 2.0
-"""After which it has found one: it may go on for as long as the browser does."""
+LINUX_OPENER = "xdg-open"  # finds the browser, or, with many lines of its own, none
+OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long as the browser does
 
 
 @click.command(cls=SectionedCommand)

@@ -13,11 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-SAME_POSITION_METRES = 1e-6
-"""Panoramas closer than this were taken from one position: no survey is so exact."""
-
-SMALL_ANGLE = 1e-8
-"""Below this (radians) sin(x)/x is 1 in float64, as x²/6 is below its rounding error."""
+SAME_POSITION_METRES = 1e-6  # panoramas closer than this were taken from one position: no survey is so exact
+SMALL_ANGLE = 1e-8  # below this (radians) sin(x)/x is 1 in float64, as x²/6 is below its rounding error
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-CATMULL_ROM_SLOPE = -0.5
-"""Slope parameter of Keys' cubic convolution that reproduces quadratics."""
+CATMULL_ROM_SLOPE = -0.5  # slope parameter of Keys' cubic convolution that reproduces quadratics
 
 
 def wrap_pixel(row: Array, col: Array, height: int, width: int) -> tuple[Array, Array]:

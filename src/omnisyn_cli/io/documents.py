@@ -19,20 +19,14 @@ from omnisyn_cli.io.outputs import write_errors
 
 Model = TypeVar("Model", bound=BaseModel)
 
-MAX_DOCUMENT_BYTES = 1 << 30
-"""A gigabyte: reconstructions carry their point clouds along."""
-
-MAX_SHOWN_CHARS = 60
-"""Of a value that a message quotes."""
-
-MAX_LISTED_KEYS = 20
-"""Keys of a model that a message names when another came."""
-
+MAX_DOCUMENT_BYTES = 1 << 30  # a gigabyte: reconstructions carry their point clouds along
+MAX_SHOWN_CHARS = 60  # of a value that a message quotes
+MAX_LISTED_KEYS = 20  # keys of a model that a message names when another came
+# Parts of pydantic's messages that do not say what was expected.
 PYDANTIC_PHRASES = (
     r"^(Input|List|Dictionary|String) should (be|have) | after validation, .*|, unable to .*"
     r"|, got a number with a fractional part"
 )
-"""Parts of pydantic's messages that do not say what was expected."""
 
 
 class ForeignModel(BaseModel):

@@ -22,20 +22,12 @@ from omnisyn_cli.io.outputs import (
     write_errors,
 )
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
-"""Files that frames and pictures can be written to."""
-
-JPEG_QUALITY = 95
-"""Nearly without visible loss. Set by hand."""
-
-PNG_COMPRESSION_LEVEL = 1
-"""Ten times faster than zlib's default level, for files a few percent larger."""
-
-OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
-"""OpenImageIO's names of numpy's types."""
-
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")  # files that frames and pictures can be written to
+JPEG_QUALITY = 95  # nearly without visible loss. Set by hand.
+PNG_COMPRESSION_LEVEL = 1  # ten times faster than zlib's default level, for files a few percent larger
+OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}  # OpenImageIO's names of numpy's types
+# OpenImageIO's TIFF writer always complains about an EXIF directory that nobody asked for.
 IGNORED_COMPLAINT = "Exif data"
-"""OpenImageIO's TIFF writer always complains about an EXIF directory that nobody asked for."""
 
 
 def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *channels"]) -> None:
@@ -146,20 +138,15 @@ def _samples_for(suffix: str, image: np.ndarray) -> np.ndarray:
     return image if name == "uint8" else np.rint(np.clip(unit, 0, 1) * 255).astype(np.uint8)
 
 
-DEFAULT_NUMBER = "%06d"
-"""Of files in a folder: six digits last for nine hours at 30 frames a second."""
-
-NUMBER = re.compile(r"%0?(\d{0,2})d")
-"""Where a path has the number of a frame, as in FFmpeg."""
-
+DEFAULT_NUMBER = "%06d"  # of files in a folder: six digits last for nine hours at 30 frames a second
+NUMBER = re.compile(r"%0?(\d{0,2})d")  # where a path has the number of a frame, as in FFmpeg
+# Endings of videos, and of images that are not written here: such a name means a file.
 UNSUPPORTED_SUFFIXES = (
     ".264", ".265", ".3g2", ".3gp", ".avi", ".bmp", ".gif", ".h264", ".h265", ".heic", ".hevc", ".ivf", ".m2ts", ".m4v",
     ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".webm", ".webp", ".wmv",
 )  # fmt: skip
-"""Endings of videos, and of images that are not written here: such a name means a file."""
-
+# Numbers and versions, as in ``walk_1.5m``, ``frames.2024`` and ``walk.v2``: no file's ending.
 VERSION_SUFFIX = re.compile(r"\.v?\d.*", re.IGNORECASE)
-"""Numbers and versions, as in ``walk_1.5m``, ``frames.2024`` and ``walk.v2``: no file's ending."""
 
 
 @dataclass(frozen=True)

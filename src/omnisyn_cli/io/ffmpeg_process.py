@@ -18,23 +18,15 @@ from omnisyn_cli.errors import EncodingError, InputError, WriteError
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
 
-MAX_STDERR_LINES = 12
-"""The last lines of ffmpeg that an error message quotes."""
-
-KILL_TIMEOUT_SECONDS = 10
-"""That ffmpeg has to end once its input is closed or it has failed."""
-
+MAX_STDERR_LINES = 12  # the last lines of ffmpeg that an error message quotes
+KILL_TIMEOUT_SECONDS = 10  # that ffmpeg has to end once its input is closed or it has failed
+# Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes.
 PIPE_BYTES = 1 << 20
-"""Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes."""
-
+# What FFmpeg says where it cannot write.
 FULL_DISK_MESSAGES = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
-"""What FFmpeg says where it cannot write."""
-
-FILE_SIZE_SIGNAL = "SIGXFSZ"
-"""The signal that ends a process whose file grows beyond the user's limit."""
-
+FILE_SIZE_SIGNAL = "SIGXFSZ"  # the signal that ends a process whose file grows beyond the user's limit
+# Lines that encoders print whatever the level of logging is.
 ENCODER_CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
-"""Lines that encoders print whatever the level of logging is."""
 
 
 Packing = Callable[[np.ndarray], np.ndarray]
@@ -177,8 +169,8 @@ def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8
     yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)
 
 
+# Files that frames are taken from.
 VIDEO_SUFFIXES = frozenset({".360", ".avi", ".insv", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
-"""Files that frames are taken from."""
 
 
 @contextmanager

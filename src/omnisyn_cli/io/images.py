@@ -14,33 +14,19 @@ from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
 
-INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
-"""Samples of white, by their type."""
-
-FLOAT_TYPES = frozenset({"float16", "float32", "float64"})
-"""Types of decoded pictures that are taken as they are."""
-
-MIN_PANORAMA_HEIGHT = 2
-"""Rows of the smallest panorama that a surface can be made of."""
-
-MIN_USABLE_ALPHA = 0.5
-"""Pixels that are less opaque than this are not usable."""
-
-LAYOUT_ROWS = 128
-"""Rows that are looked at to tell what a picture of unusual shape shows."""
-
-MIN_FRAME_WIDTH = 128
-"""Pixels of the narrowest video frame: a pixel more or less of its height is no other shape."""
-
+INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}  # samples of white, by their type
+FLOAT_TYPES = frozenset({"float16", "float32", "float64"})  # types of decoded pictures that are taken as they are
+MIN_PANORAMA_HEIGHT = 2  # rows of the smallest panorama that a surface can be made of
+MIN_USABLE_ALPHA = 0.5  # pixels that are less opaque than this are not usable
+LAYOUT_ROWS = 128  # rows that are looked at to tell what a picture of unusual shape shows
+MIN_FRAME_WIDTH = 128  # pixels of the narrowest video frame: a pixel more or less of its height is no other shape
+# Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand.
 MIN_STEREO_CORRELATION = 0.7
-"""Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand."""
-
+# Of what columns 1/64 of the width apart differ by, that the first and the last column do; spheres have a third of it
+# at the most, other pictures at least twice as much.
 MAX_SEAM_STEP = 0.75
-"""Of what columns 1/64 of the width apart differ by, that the first and the last column do; spheres have a third of it
-at the most, other pictures at least twice as much."""
-
+# Of the contrast of a sphere's rows that its first or its last row has, which show one point. Set by hand.
 MAX_POLE_SHARE = 0.5
-"""Of the contrast of a sphere's rows that its first or its last row has, which show one point. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -308,14 +294,10 @@ def _resized(samples: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(cv2.resize(samples, size[::-1], interpolation=cv2.INTER_AREA))
 
 
+# Files that count as photographs of surfaces.
 PHOTOGRAPH_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
-"""Files that count as photographs of surfaces."""
-
-MAX_PHOTOGRAPH_SIDE = 768
-"""Pixels of the longer side that are kept: two megabytes a photograph, with its mip levels."""
-
-MAX_PHOTOGRAPHS = 2000
-"""Photographs in a folder: four gigabytes at most, much less where they are small."""
+MAX_PHOTOGRAPH_SIDE = 768  # pixels of the longer side that are kept: two megabytes a photograph, with its mip levels
+MAX_PHOTOGRAPHS = 2000  # photographs in a folder: four gigabytes at most, much less where they are small
 
 
 def list_photographs(folder: Path) -> list[Path]:

@@ -22,26 +22,13 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 from omnisyn_cli.io.outputs import write_parts
 
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
-"""Formats that trimesh reads with their textures."""
-
-ARCHIVE = "scene.npz"
-"""A mesh as arrays in numpy's format."""
-
-MAX_FACES = 20_000_000
-"""Of a mesh that is read. Set by hand."""
-
-MIN_AREA = 1e-10
-"""Square metres; smaller faces are dropped."""
-
-LARGEST_EXTENT = 5000.0
-"""Metres; larger meshes are in other units."""
-
-SMALLEST_EXTENT = 0.5
-"""Metres; smaller meshes are in other units."""
-
-LIGHT_MAP_GAIN = 2.0
-"""Light where the light map is white."""
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")  # formats that trimesh reads with their textures
+ARCHIVE = "scene.npz"  # a mesh as arrays in numpy's format
+MAX_FACES = 20_000_000  # of a mesh that is read. Set by hand.
+MIN_AREA = 1e-10  # square metres; smaller faces are dropped
+LARGEST_EXTENT = 5000.0  # metres; larger meshes are in other units
+SMALLEST_EXTENT = 0.5  # metres; smaller meshes are in other units
+LIGHT_MAP_GAIN = 2.0  # light where the light map is white
 
 
 def list_meshes(folder: Path) -> list[Path]:
@@ -235,8 +222,7 @@ def _joined(parts: list[Any], z_up: bool) -> TexturedMesh:
     )
 
 
-TYPES = {"<f4": "float", "|u1": "uchar"}
-"""PLY's names of numpy's types."""
+TYPES = {"<f4": "float", "|u1": "uchar"}  # PLY's names of numpy's types
 
 
 def write_ply(path: Path, vertices: np.ndarray, comments: Sequence[str] = ()) -> None:

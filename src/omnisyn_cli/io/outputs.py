@@ -14,14 +14,11 @@ from pathlib import Path
 
 from omnisyn_cli.errors import OutputPathError, WriteError
 
-TEMPORARY_PREFIX = ".omnisyn-"
-"""Of names that are not final yet."""
-
+TEMPORARY_PREFIX = ".omnisyn-"  # of names that are not final yet
+# The machine, the process, and chance.
 TEMPORARY_NAME = re.compile(re.escape(TEMPORARY_PREFIX) + r"([0-9a-f]{6})-(\d+)-[0-9a-f]{8}(\.\w+)?")
-"""The machine, the process, and chance."""
-
+# Of this machine: processes of others, which may see the same folder, are not asked about.
 MACHINE_DIGEST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
-"""Of this machine: processes of others, which may see the same folder, are not asked about."""
 
 
 def real_path(path: Path) -> Path:

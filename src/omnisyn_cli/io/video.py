@@ -31,8 +31,8 @@ from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
 from omnisyn_cli.io.outputs import check_output, temporary_name
 from omnisyn_cli.io.spherical import inject_spherical
 
+# What a folder of frames can be made of.
 IMAGE_CODECS = {"png": (".png",), "jpg": (".jpg", ".jpeg"), "exr": (".exr",), "tif": (".tif", ".tiff")}
-"""What a folder of frames can be made of."""
 
 
 class FrameSink(Protocol):
@@ -180,11 +180,9 @@ def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
     return sequence
 
 
-FRAMES_IN_QUEUE = 2
-"""More would only cost memory: the slower side, rendering or encoding, decides the pace."""
-
+FRAMES_IN_QUEUE = 2  # more would only cost memory: the slower side, rendering or encoding, decides the pace
+# Pixels (8192×4096) from which on one frame in the queue is enough: each takes long, and much memory.
 LARGE_FRAME_PIXELS = 2**25
-"""Pixels (8192×4096) from which on one frame in the queue is enough: each takes long, and much memory."""
 
 
 def frames_in_queue(size: tuple[int, int]) -> int:

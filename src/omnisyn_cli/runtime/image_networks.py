@@ -13,11 +13,8 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-SIZE_MULTIPLE = 32
-"""The completion network halves its input five times: heights and widths are multiples of this."""
-
-FUSION_CHANNELS = {"shares": 4, "colour": 3}
-"""Of the answers of networks that fuse, by the name of their output."""
+SIZE_MULTIPLE = 32  # the completion network halves its input five times: heights and widths are multiples of this
+FUSION_CHANNELS = {"shares": 4, "colour": 3}  # of the answers of networks that fuse, by the name of their output
 
 
 class CompletionSession:

@@ -31,14 +31,9 @@ from pydantic import TypeAdapter
 
 from omnisyn_cli.errors import InputError
 
-MANIFEST = "manifest.toml"
-"""Name of the file beside the models."""
-
-MANIFEST_VERSION = 1
-"""Counts up when older programs could not read it."""
-
-MAX_REASON_CHARS = 500
-"""Characters of what a parser complains about."""
+MANIFEST = "manifest.toml"  # name of the file beside the models
+MANIFEST_VERSION = 1  # counts up when older programs could not read it
+MAX_REASON_CHARS = 500  # characters of what a parser complains about
 
 
 @dataclass(frozen=True)
@@ -59,8 +54,7 @@ class ModelEntry:
     hours: float = 0.0
 
 
-ENTRIES = TypeAdapter(list[ModelEntry])
-"""Checks what a manifest lists."""
+ENTRIES = TypeAdapter(list[ModelEntry])  # checks what a manifest lists
 
 
 def models_folder() -> Path:

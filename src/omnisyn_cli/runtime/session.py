@@ -10,14 +10,9 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import find_model
 
-DEVICES = ("auto", "cpu", "cuda")
-"""Where users can ask for networks to run."""
-
-MAX_COMPLAINT_CHARS = 300
-"""Characters of what ONNX Runtime says that are passed on."""
-
-PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
-"""ONNX Runtime's names of them."""
+DEVICES = ("auto", "cpu", "cuda")  # where users can ask for networks to run
+MAX_COMPLAINT_CHARS = 300  # characters of what ONNX Runtime says that are passed on
+PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}  # ONNX Runtime's names of them
 
 
 def open_session(path: Path, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
