@@ -94,7 +94,7 @@ class FusionSession:
     ) -> Float32[np.ndarray, "out_channels height width"]:
         """The answer for channels of a frame."""
         shape = (1, self._out_channels, *channels.shape[1:])
-        return run_network(self._session, {"planes": channels[None]}, (shape,))[0][0]
+        return np.asarray(run_network(self._session, {"planes": channels[None]}, (shape,))[0][0])
 
 
 def _padded(channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "channels rows columns"]:
