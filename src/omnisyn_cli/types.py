@@ -14,24 +14,6 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.perspective import target_tables
 from omnisyn_cli.geometry.pose import Pose
 
-__all__ = [
-    "DEPTH_CONFIDENCE_GAIN",
-    "EDGE_PIXEL_MULTIPLE",
-    "EDGE_TILE_COLUMNS",
-    "MIN_VISIBLE_WEIGHT",
-    "ColourStep",
-    "DepthEstimate",
-    "DepthEstimator",
-    "DirectionTables",
-    "EdgePixels",
-    "EdgeSamples",
-    "Fuser",
-    "KnownDepth",
-    "Layer",
-    "SourceSampler",
-    "View",
-]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
 # Colours of a lower weight count as unseen: alpha is interpolated, so beside a mask it is rarely exactly 0.

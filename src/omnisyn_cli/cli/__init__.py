@@ -24,8 +24,6 @@ from omnisyn_cli.cli.signals import signals_raised
 from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import WriteError
 
-__all__ = ["cli", "main"]
-
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 """pydantic would look through all that is installed for other people's code, which takes as long as reading poses."""
 

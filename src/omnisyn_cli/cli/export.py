@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, making_options, named, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -55,12 +55,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="With pannellum and marzipano: make short videos along the links, which the page shows instead of fading.",
 )  # fmt: skip
 @surface_options
-@click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
-)
-@click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
-@json_option("the summary")
-@quiet_option
+@making_options
 def export(
     *, as_json: bool, dry_run: bool, quiet: bool, clips: bool,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002

@@ -56,11 +56,6 @@ masks_option = click.option(
     help="Image that is black where a panorama must not be used. Give one per panorama, in order.",
 )  # fmt: skip
 
-cap_option = click.option(
-    "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0, show_default=False,
-    help="Mask a cap of this radius around straight down, such as a tripod or a car roof.",
-)  # fmt: skip
-
 nadir_option = click.option(
     "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
     help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
@@ -143,6 +138,18 @@ reading_options = all_of(
 )  # fmt: skip
 """What of the sphere pictures show, where their files do not say it."""
 
+picture_options = all_of(
+    masks_option,
+    click.option(
+        "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0, show_default=False,
+        help="Mask a cap of this radius around straight down, such as a tripod or a car roof.",
+    ),
+    threads_option,
+    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
+    reading_options,
+)  # fmt: skip
+"""How pictures are read whose poses are found or checked."""
+
 size_options = all_of(
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
     reading_options,
@@ -170,6 +177,16 @@ surface_options = all_of(
     outside_option,
 )  # fmt: skip
 """How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""
+
+making_options = all_of(
+    click.option(
+        "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
+    ),
+    click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing."),
+    json_option("the summary"),
+    quiet_option,
+)
+"""What becomes of an old output, and what is said of the new one."""
 
 
 def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, Any]:

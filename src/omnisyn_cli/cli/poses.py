@@ -11,16 +11,7 @@ import click
 
 from omnisyn_cli.cli.failures import EXIT_FAILURE
 from omnisyn_cli.cli.help import PlainGroup
-from omnisyn_cli.cli.options import (
-    all_of,
-    cap_option,
-    json_option,
-    masks_option,
-    outside_option,
-    quiet_option,
-    reading_options,
-    threads_option,
-)
+from omnisyn_cli.cli.options import json_option, outside_option, picture_options, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size
 from omnisyn_cli.cli.progress import leftover_notes
 from omnisyn_cli.cli.terminal import print_json, say
@@ -51,13 +42,6 @@ poses_option = click.option(
 )  # fmt: skip
 output_option = click.option("-o", "--output", required=True, type=FilePath(), help="Pose file to write.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
-picture_options = all_of(
-    masks_option,
-    cap_option,
-    threads_option,
-    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
-    reading_options,
-)
 
 
 class Place(click.ParamType):  # type: ignore[type-arg]

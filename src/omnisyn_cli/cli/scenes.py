@@ -279,12 +279,11 @@ def _write_folder(
     no_depth: bool, overwrite: bool,
 ) -> None:  # fmt: skip
     from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
-    from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
+    from omnisyn_cli.io.outputs import make_folder, staged_folder
     from omnisyn_cli.scenes.mesh import render_mesh
 
     files = files_of_scene(line, with_depth=not no_depth)
-    for file in files if folder.is_dir() else []:
-        check_output(folder / file, overwrite)
+    _check_folder(folder, files, overwrite)
     make_folder(folder.parent, "scenes")
     with staged_folder(folder, overwrite=overwrite) as staged:
         write_renderings(

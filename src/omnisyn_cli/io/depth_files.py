@@ -51,10 +51,8 @@ def read_inverse_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Flo
 def write_depth(path: Path | str, depth: Float[np.ndarray, "height width"]) -> None:
     """Write depth in metres as EXR with one float channel ``Z``; infinity is kept, an existing file is replaced.
 
-    Raises:
-        OutputPathError: the name does not end in .exr, or there is no folder to write into.
-        WriteError: the disk is full, or the folder went away.
-        ValueError: the array is not two-dimensional, or holds NaN or negative numbers.
+    OutputPathError: the name does not end in .exr, or there is no folder to write into. WriteError: the disk is full,
+    or the folder went away. ValueError: the array is not two-dimensional, or holds NaN or negative numbers.
     """
     target = Path(path)
     if target.suffix.lower() != ".exr":

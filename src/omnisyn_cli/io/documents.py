@@ -175,9 +175,7 @@ def _shown(value: Any) -> str:
 def append_line(path: Path, value: Any) -> None:
     """Add a line that has reached the disk when this returns; what a killed run left of one is removed first.
 
-    Raises:
-        ValueError: a number is infinite or undefined.
-        WriteError: the disk is full, or the folder went away.
+    ValueError: a number is infinite or undefined. WriteError: the disk is full, or the folder went away.
     """
     line = json.dumps(value, ensure_ascii=False, allow_nan=False) + "\n"
     with write_errors(path), path.open("a+b") as file:

@@ -36,10 +36,8 @@ def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *chann
     Samples are uint8, uint16 or floating point in [0, 1]. PNG holds uint8 and uint16 exactly (floats are rounded to
     8 bits), JPEG 8 bits at quality 95, TIFF any of the three exactly, EXR float32. An existing file is replaced.
 
-    Raises:
-        OutputPathError: unknown ending, or no folder to write into.
-        WriteError: the disk is full, or the folder went away.
-        ValueError: another shape or type, or samples that are not finite.
+    OutputPathError: unknown ending, or no folder to write into. WriteError: the disk is full, or the folder went away.
+    ValueError: another shape or type, or samples that are not finite.
     """
     target = Path(path)
     suffix = image_suffix(target)

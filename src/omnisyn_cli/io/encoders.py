@@ -79,9 +79,8 @@ class EncoderSettings:
 def check_settings(path: Path, settings: EncoderSettings) -> None:
     """Refuse what no encoder would take, before any work.
 
-    Raises:
-        OutputPathError: the name's ending does not go with the codec.
-        InputError: odd or empty size, a frame rate, quality, preset or sample type out of range, unknown codec.
+    OutputPathError: the name's ending does not go with the codec. InputError: odd or empty size, unknown codec, a frame
+    rate, quality, preset or sample type out of range.
     """
     if settings.codec not in CODECS:
         raise InputError(f"expected a codec among {', '.join(CODECS)}, got '{settings.codec}'; choose one of them")

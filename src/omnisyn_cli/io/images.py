@@ -173,11 +173,7 @@ def usable_part(
 
     ``own`` is the mask that came with the picture of ``size`` (height, width), its alpha channel. Images of ``masks``
     are black where it must not be used and read as :func:`read_mask` does; nor may what lies within ``nadir`` radians
-    around straight down.
-
-    Raises:
-        ImageError: a mask cannot be read.
-        InputError: it has another size, or forbids everything.
+    around straight down. ImageError: a mask cannot be read. InputError: it has another size, or forbids everything.
     """
     parts = [] if own is None else [own]
     for path in (path for path in masks if path is not None):
@@ -319,9 +315,7 @@ def list_photographs(folder: Path) -> list[Path]:
 def read_photographs(folder: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
     """All photographs of a folder, upright, sRGB, at most :data:`MAX_PHOTOGRAPH_SIDE` pixels long; alpha is ignored.
 
-    Raises:
-        InputError: as :func:`list_photographs`.
-        ImageError: one of them cannot be read; the message names it.
+    InputError: as :func:`list_photographs`. ImageError: one of them cannot be read; the message names it.
     """
     return [read_picture(path, MAX_PHOTOGRAPH_SIDE) for path in list_photographs(folder)]
 

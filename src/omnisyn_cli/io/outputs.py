@@ -202,9 +202,8 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
     The folder need not exist; its parent must. A new folder appears with all that is in it at once. Folders in it are
     made, or added to. With ``overwrite`` files of the same names are replaced, those included that appeared meanwhile.
 
-    Raises:
-        OutputPathError: there is a file of one of the names, and ``overwrite`` is off.
-        WriteError: the disk is full, or the folder went away.
+    OutputPathError: there is a file of one of the names, and ``overwrite`` is off. WriteError: the disk is full, or the
+    folder went away.
     """
     with hidden_folder(folder) as temporary:
         yield temporary

@@ -69,9 +69,8 @@ def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | 
     ``moov`` is put before the media data, so that players can start before the whole file has come. Tags that are there
     already are replaced. Media data are streamed, never loaded. An existing target is replaced.
 
-    Raises:
-        InputError: the source is missing, truncated, fragmented, has no video or is no MP4 or MOV file.
-        WriteError: the disk is full, or the folder went away.
+    InputError: the source is missing, truncated, fragmented, has no video or is no MP4 or MOV file. WriteError: the
+    disk is full, or the folder went away.
     """
     origin, destination = Path(source), Path(target)
     ranks = {b"ftyp": 0, b"moov": 1}  # then everything else in its order

@@ -71,10 +71,8 @@ class Encoding(TypedDict, total=False):
 def check_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> None:
     """Refuse everything that :func:`open_video` would refuse, before any work; same arguments.
 
-    Raises:
-        OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with
-            the codec.
-        InputError: odd size, or a frame rate, quality, preset or sample type out of range.
+    OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with the
+    codec. InputError: odd size, or a frame rate, quality, preset or sample type out of range.
     """
     _checked(Path(path), overwrite, encoding)
 
@@ -91,10 +89,8 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     It is a video file (.mp4, .m4v, .mov), a folder, or a pattern such as ``frames/view_%05d.png``; an existing one is
     replaced with ``overwrite``.
 
-    Raises:
-        OutputPathError, InputError: see :func:`check_video`.
-        EncodingError: ffmpeg refused or stopped, or no frame came.
-        WriteError: the disk is full, or the folder went away.
+    OutputPathError, InputError: see :func:`check_video`. EncodingError: ffmpeg refused or stopped, or no frame came.
+    WriteError: the disk is full, or the folder went away.
     """
     target = Path(path)
     resolved = _checked(target, overwrite, encoding)
