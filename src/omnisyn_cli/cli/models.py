@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -83,15 +83,7 @@ FOLDER = FilePath(file_okay=False)  # a click type: any path that is no file
 @click.option("--training", default="", show_default=False, help="Training data and duration, for the manifest.")
 @click.option("--licence", default="Apache-2.0", help="Licence of the weights.")
 @click.option("--overwrite", is_flag=True, help="Replace models of the same names.")
-def export_onnx(
-    checkpoint: Path | None,
-    output: Path | None,
-    name: str | None,
-    pool: Path | None,
-    training: str,
-    licence: str,
-    overwrite: bool,
-) -> None:
+def export_onnx(checkpoint: Path | None, output: Path | None, **options: Any) -> None:
     """Write the averaged network of CHECKPOINT as ONNX, check it against torch, and add it to the manifest.
 
     Jointly trained networks get a file each; SynSin gets three (depth, encoder, decoder). Their names are --name and
@@ -107,8 +99,7 @@ def export_onnx(
         _list_checkpoints(Path())
         return
     output = output or checkpoint.parent
-    made = publish(checkpoint, output, name=name, pool=pool, training=training, licence=licence, overwrite=overwrite)
-    for entry, difference in made:
+    for entry, difference in publish(checkpoint, output, **options):
         say(
             f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
         )

@@ -1,4 +1,4 @@
-"""Options that several commands have, and how they say and print what there is."""
+"""Options that several commands have, and what their values mean together."""
 
 from collections.abc import Callable, Mapping
 from functools import reduce
@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, NadirRange, WholeRange
-from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import DEVICES
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
@@ -228,16 +227,3 @@ def check_one_cut(options: Mapping[str, Any]) -> None:
     """Refuse both of :data:`cut_options`."""
     if options["cut"] is not None and options["cut_metres"] is not None:
         raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
-
-
-def print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
-    """Print a plan as JSON; or a sentence, and a line for each value that says something new."""
-    if as_json:
-        print_json(values)
-        return
-    say(sentence)
-    for key, value in values.items():
-        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-        shown = ("no", "yes")[value] if isinstance(value, bool) else shown
-        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
-            say(f"{key.replace('_', ' '):>18}: {shown}")

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from omnisyn_cli.poses.estimation import PictureOptions
     from omnisyn_cli.poses.formats import Origin
 
-
 # ``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them.
 IMPORT_FORMATS = (
     "auto", "exif", "table", "colmap", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind", "authors",

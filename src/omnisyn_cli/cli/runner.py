@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from omnisyn_cli.cli.options import print_plan
 from omnisyn_cli.cli.progress import leftover_notes, memory_notes, say_when_compiling, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
@@ -54,7 +53,7 @@ def run_job(
             stages.note(f"note: {note}")
         if dry_run:
             if as_json or not quiet:
-                print_plan(values, plan.in_words(values), as_json=as_json)
+                _print_plan(values, plan.in_words(values), as_json=as_json)
             return None
         from omnisyn_cli.cli.aborts import explain_memory_aborts
         from omnisyn_cli.compute.jit import while_compiling
@@ -83,3 +82,16 @@ def run_job(
         for line in summary.lines(is_report_possible=is_report_possible):
             say(line)
     return summary
+
+
+def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
+    """Print a plan as JSON; or a sentence, and a line for each value that says something new."""
+    if as_json:
+        print_json(values)
+        return
+    say(sentence)
+    for key, value in values.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        shown = ("no", "yes")[value] if isinstance(value, bool) else shown
+        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
+            say(f"{key.replace('_', ' '):>18}: {shown}")
