@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, making_options, named, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, named, output_options, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -55,7 +55,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="With pannellum and marzipano: make short videos along the links, which the page shows instead of fading.",
 )  # fmt: skip
 @surface_options
-@making_options
+@output_options
 def export(
     *, as_json: bool, dry_run: bool, quiet: bool, clips: bool,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002

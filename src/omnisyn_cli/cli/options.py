@@ -177,7 +177,7 @@ surface_options = all_of(
 )  # fmt: skip
 """How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""
 
-making_options = all_of(
+output_options = all_of(
     click.option(
         "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
     ),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, making_options, named, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, named, output_options, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -42,7 +42,7 @@ OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long a
     help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded photographs; none: a "
     "warning; fail: exit code 3.",
 )  # fmt: skip
-@making_options
+@output_options
 def view(
     *, as_json: bool, dry_run: bool, quiet: bool, texture: int, lossless: bool,
     folder: bool, serve: bool, is_opened: bool, **options: Any,
