@@ -36,23 +36,9 @@ for _name in ("ORT_DISABLE_TELEMETRY", "ORT_TELEMETRY_DISABLED"):  # either, by 
 """Releases of ONNX Runtime from 1.29 on tell their maker about every session, unless this is set before they load."""
 
 __all__ = [
-    "PRESETS",
-    "DepthEstimate",
-    "DepthEstimator",
-    "DepthSource",
-    "Fuser",
-    "Layer",
-    "Pose",
-    "RunConfig",
-    "View",
-    "estimate_depth",
-    "evaluate",
-    "interpolate",
-    "make_frames",
-    "read_views",
-    "score",
-    "write_video",
-]
+    "PRESETS", "DepthEstimate", "DepthEstimator", "DepthSource", "Fuser", "Layer", "Pose", "RunConfig", "View",
+    "estimate_depth", "evaluate", "interpolate", "make_frames", "read_views", "score", "write_video",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -14,17 +14,6 @@ Every message is one line that says what was expected, what was found and what t
     └── WriteError          the disk is full, or the file went away while it was written
 """
 
-__all__ = [
-    "EncodingError",
-    "ImageError",
-    "InputError",
-    "OmnisynError",
-    "OutputPathError",
-    "PoseError",
-    "TrainingError",
-    "WriteError",
-]
-
 
 class OmnisynError(Exception):
     """Base of everything this package raises on purpose."""

@@ -14,72 +14,40 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.perspective import target_tables
 from omnisyn_cli.geometry.pose import Pose
 
-__all__ = [
-    "DEPTH_CONFIDENCE_GAIN",
-    "EDGE_PIXEL_MULTIPLE",
-    "EDGE_TILE_COLUMNS",
-    "MIN_VISIBLE_WEIGHT",
-    "ColourStep",
-    "DepthEstimate",
-    "DepthEstimator",
-    "DirectionTables",
-    "EdgePixels",
-    "EdgeSamples",
-    "Fuser",
-    "KnownDepth",
-    "Layer",
-    "SourceSampler",
-    "View",
-]
-
 Array = Any  # numpy.ndarray or torch.Tensor
 
+# Colours of a lower weight count as unseen: alpha is interpolated, so beside a mask it is rarely exactly 0.
 MIN_VISIBLE_WEIGHT = np.float32(1e-4)
-"""Colours of a lower weight count as unseen: alpha is interpolated, so beside a mask it is rarely exactly 0."""
-
+# Confidence in the depth of a colour per unit of its weight, clipped to 1. Cut edges have a weight of a quarter, and
+# their depth is right.
 DEPTH_CONFIDENCE_GAIN = 4.0
-"""Confidence in the depth of a colour per unit of its weight, clipped to 1. Cut edges have a weight of a quarter, and
-their depth is right."""
 
 
 @dataclass(frozen=True)
 class DepthEstimate:
-    """What is known about the distances around one panorama, in its own equirectangular frame.
+    """What is known about the distances around one panorama, in its own equirectangular frame."""
 
-    Attributes:
-        inverse_depth: ``(height, width)`` 1/metre, finite and >= 0; 0 is infinitely far.
-        confidence: ``(height, width)`` in [0, 1]; 0 where the value is a guess.
-        stereo_valid: ``(rows, cols)`` True where stereo matching gave a valid disparity, before completion and
-            refinement, at a size of its own; None without matching. Only evaluation reads it.
-    """
-
-    inverse_depth: Float[np.ndarray, "height width"]
-    confidence: Float[np.ndarray, "height width"]
+    inverse_depth: Float[np.ndarray, "height width"]  # 1/metre, finite and >= 0; 0 is infinitely far
+    confidence: Float[np.ndarray, "height width"]  # in [0, 1]; 0 where the value is a guess
+    # True where stereo matching gave a valid disparity, before completion and refinement, at a size of its own; None
+    # without matching. Only evaluation reads it.
     stereo_valid: Bool[np.ndarray, "rows cols"] | None = None
 
 
 @dataclass(frozen=True)
 class View:
-    """A posed panorama.
+    """A posed panorama."""
 
-    Attributes:
-        image: ``(height, width, 3)`` RGB in [0, 1], equirectangular.
-        pose: world-from-camera.
-        mask: ``(height, width)``, True where the image may be used; ``None`` means everywhere.
-        known_depth: depth that came with the panorama, at a resolution of its own; ``None`` if there is none.
-        is_clipped: whether much of it was clipped at white before it was darkened to the exposure of another panorama.
-            The true colours there are unknown.
-        image_uint8: ``(height, width, 3)`` the same image with 8 bits per channel, if it came with these.
-        shows_masked: whether masked pixels may be shown where the panorama itself is, at the ends of the way: they have
-            colours of their own, such as those of a cap.
-    """
-
-    image: Float[np.ndarray, "height width 3"]
-    pose: Pose
-    mask: Bool[np.ndarray, "height width"] | None = None
-    known_depth: DepthEstimate | None = None
+    image: Float[np.ndarray, "height width 3"]  # RGB in [0, 1], equirectangular
+    pose: Pose  # world-from-camera
+    mask: Bool[np.ndarray, "height width"] | None = None  # True where the image may be used; None means everywhere
+    known_depth: DepthEstimate | None = None  # that came with the panorama, at a resolution of its own
+    # whether much of it was clipped at white before it was darkened to the exposure of another panorama; the true
+    # colours there are unknown
     is_clipped: bool = False
-    image_uint8: UInt8[np.ndarray, "height width 3"] | None = None
+    image_uint8: UInt8[np.ndarray, "height width 3"] | None = None  # the same image, if it came with 8 bits per channel
+    # whether masked pixels may be shown where the panorama itself is, at the ends of the way: they have colours of
+    # their own, such as those of a cap
     shows_masked: bool = False
 
     def __repr__(self) -> str:
@@ -105,18 +73,11 @@ class DepthEstimator(Protocol):
 
 
 class DirectionTables(NamedTuple):
-    """Directions of the pixels of a target, factored into rows and columns, float32. Kernels take it as it is.
+    """Directions of the pixels of a target, factored into rows and columns, float32. Kernels take it as it is."""
 
-    Attributes:
-        sin_p: sines of the polar angles of the rows.
-        cos_p: cosines of the same.
-        sin_a: sines of the azimuths of the columns.
-        cos_a: cosines of the same.
-    """
-
-    sin_p: Float32[np.ndarray, " rows"]
+    sin_p: Float32[np.ndarray, " rows"]  # sines of the polar angles of the rows
     cos_p: Float32[np.ndarray, " rows"]
-    sin_a: Float32[np.ndarray, " cols"]
+    sin_a: Float32[np.ndarray, " cols"]  # sines of the azimuths of the columns
     cos_a: Float32[np.ndarray, " cols"]
 
     @staticmethod
@@ -138,11 +99,9 @@ class DirectionTables(NamedTuple):
         return self._replace(sin_a=self.sin_a[cols], cos_a=self.cos_a[cols])
 
 
-EDGE_TILE_COLUMNS = 4
-"""Columns of pixels per entry of :attr:`EdgePixels.tile_begins`. Set by hand."""
-
+EDGE_TILE_COLUMNS = 4  # columns of pixels per entry of :attr:`EdgePixels.tile_begins`. Set by hand.
+# Rows of edge pixels are padded to a multiple of this: SIMD kernels process the samples of two pixels at a time.
 EDGE_PIXEL_MULTIPLE = 2
-"""Rows of edge pixels are padded to a multiple of this: SIMD kernels process the samples of two pixels at a time."""
 
 
 class EdgePixels(NamedTuple):
@@ -150,24 +109,17 @@ class EdgePixels(NamedTuple):
 
     Per-sample arrays have the shape ``(2, 2·pixels, ...)``: the upper and the lower row of samples of every pixel, and
     in each the left and the right sample. Kernels take this tuple as it is.
-
-    Attributes:
-        top: the target row of the first row of edge pixels.
-        cols: target columns, row after row, ascending in each; −1 is padding.
-        tile_begins: for each row, the index of the first edge pixel at or after every :data:`EDGE_TILE_COLUMNS`
-            columns; last, the index after the row.
-        unknown_counts: for each of these, how many edge pixels before it in its row have samples without a known depth.
-        inverse_depth: of all samples, 1/metre; negative where it is still to be rasterised.
-        sin_a: sines of the azimuths of the samples of a row, two for every pixel.
-        cos_a: cosines of the same.
     """
 
-    top: int
-    cols: Int32[np.ndarray, " pixels"]
+    top: int  # the target row of the first row of edge pixels
+    cols: Int32[np.ndarray, " pixels"]  # target columns, row after row, ascending in each; −1 is padding
+    # for each row, the index of the first edge pixel at or after every :data:`EDGE_TILE_COLUMNS` columns; last, the
+    # index after the row
     tile_begins: Int32[np.ndarray, "rows tiles"]
+    # for each of these, how many edge pixels before it in its row have samples without a known depth
     unknown_counts: Int32[np.ndarray, "rows tiles"]
-    inverse_depth: Float32[np.ndarray, "2 samples"]
-    sin_a: Float32[np.ndarray, " samples"]
+    inverse_depth: Float32[np.ndarray, "2 samples"]  # 1/metre; negative where it is still to be rasterised
+    sin_a: Float32[np.ndarray, " samples"]  # sines of the azimuths of the samples of a row, two for every pixel
     cos_a: Float32[np.ndarray, " samples"]
 
 
@@ -181,19 +133,16 @@ class SourceSampler:
 
     Points are given as inverse depths (1/metre from the target) along the rays of the target's pixels. Negative means
     no point. The view's own depth is not used to find colours, only to measure occlusion.
-
-    Attributes:
-        sample_rows: called with the points of some target rows at the frames' size, the first row, and a buffer
-            ``(rows, width, 4)`` that it writes: RGB and alpha of the photograph at these points; 0 without a point.
-            Thread-safe.
-        sample: the same for a target of any size, given its points, with mip mapping for that size.
-        occlusion: called with points of a target of any size and the smallest inverse depth to compare against. Returns
-            how much nearer to the source the view's own surface is than the point, relative to the larger inverse
-            depth: 1 where it hides the point, 0 where it agrees, −1 where it lies far behind.
     """
 
+    # called with the points of some target rows at the frames' size, the first row, and a buffer that it writes: RGB
+    # and alpha of the photograph at these points; 0 without a point. Thread-safe.
     sample_rows: Callable[[Float32[np.ndarray, "rows width"], int, Float32[np.ndarray, "rows width 4"]], None]
+    # the same for a target of any size, given its points, with mip mapping for that size
     sample: Callable[[Float32[np.ndarray, "height width"]], Float32[np.ndarray, "height width 4"]]
+    # called with points of a target of any size and the smallest inverse depth to compare against. Returns how much
+    # nearer to the source the view's own surface is than the point, relative to the larger inverse depth: 1 where it
+    # hides the point, 0 where it agrees, −1 where it lies far behind.
     occlusion: Callable[[Float32[np.ndarray, "height width"], float], Float32[np.ndarray, "height width"]]
 
 
@@ -202,27 +151,21 @@ class Layer:
     """One source view rendered into a target. Its depth is there; its colours are shaded on demand.
 
     Arrays are numpy arrays, or torch tensors if the layer was rendered on a device.
-
-    Attributes:
-        inverse_depth: ``(height, width)`` 1/metre from the target; negative where nothing is seen.
-        colour_rows: called with a first row, the row after the last, and a buffer ``(rows, width, 4)`` that it writes:
-            RGB and blend weight. The weight is 0 where nothing is seen, else up to 1; beside a mask interpolation may
-            overshoot slightly. Thread-safe until the layer's renderer is called again.
-        subsampled_colours: returns such colours ``(rows, columns, 4)`` where given ascending rows and columns cross.
-        target_from_source: the transform it was rendered with.
-        cached_colour: all colours ``(height, width, 4)``, if they are shaded already.
-        edge_samples: inverse depth and colours of the samples of edge pixels, in new arrays; None if the renderer
-            cannot supersample. Called like ``colour_rows``.
-        source_sampler: backward warping of the same source; None if the renderer offers none.
     """
 
-    inverse_depth: Float32[Array, "height width"]
+    inverse_depth: Float32[Array, "height width"]  # 1/metre from the target; negative where nothing is seen
+    # called with a first row, the row after the last, and a buffer ``(rows, width, 4)`` that it writes: RGB and blend
+    # weight. The weight is 0 where nothing is seen, else up to 1; beside a mask interpolation may overshoot slightly.
+    # Thread-safe until the layer's renderer is called again.
     colour_rows: Callable[[int, int, Array], None]
+    # returns such colours ``(rows, columns, 4)`` where given ascending rows and columns cross
     subsampled_colours: Callable[[np.ndarray, np.ndarray], Array]
-    target_from_source: Pose
-    cached_colour: Float32[Array, "height width 4"] | None = None
+    target_from_source: Pose  # the transform it was rendered with
+    cached_colour: Float32[Array, "height width 4"] | None = None  # all colours, if they are shaded already
+    # inverse depth and colours of the samples of edge pixels, in new arrays; None if the renderer cannot supersample.
+    # Called like ``colour_rows``.
     edge_samples: Callable[[EdgePixels], EdgeSamples] | None = None
-    source_sampler: SourceSampler | None = None
+    source_sampler: SourceSampler | None = None  # backward warping of the same source; None if the renderer has none
 
     @staticmethod
     def from_arrays(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Layer:
@@ -253,11 +196,7 @@ class KnownDepth:
     """The depth that came with the panoramas; implements :class:`DepthEstimator`."""
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
-        """``known_depth`` of both.
-
-        Raises:
-            ValueError: a view has none.
-        """
+        """``known_depth`` of both; ValueError: a view has none."""
         if first.known_depth is None or second.known_depth is None:
             raise ValueError("expected views with known depth, got one without; choose another depth method")
         return first.known_depth, second.known_depth
@@ -274,16 +213,10 @@ class Fuser(Protocol):
         out: Shaped[np.ndarray, "height width 3"] | None = None,
         confidence: Float32[np.ndarray, "height width"] | None = None,
     ) -> Shaped[np.ndarray, "height width 3"]:
-        """The fused picture at a share ``t`` of the way from the first view to the second.
+        """The fused picture at a share ``t``, in [0, 1], of the way from the first view to the second.
 
-        Args:
-            first: of the first view.
-            second: of the second view.
-            t: share of the way, in [0, 1].
-            out: written and returned: float32 >= 0, or unsigned integers; by default float32 in a buffer that the
-                next call may overwrite.
-            confidence: if given, written: how reliable every pixel is, in [0, 1].
-
-        Callers pass ``out`` and ``confidence`` only if they need them: a fuser without them may take three arguments.
+        ``out`` is written and returned: float32 >= 0, or unsigned integers; by default float32 in a buffer that the
+        next call may overwrite. ``confidence`` is written if given: how reliable every pixel is, in [0, 1]. Callers
+        pass them only if they need them: a fuser without them may take three arguments.
         """
         ...

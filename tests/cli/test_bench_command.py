@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cli.cli_samples import Omnisyn, listing, write_pair
-from omnisyn_cli.cli.bench import LAYOUTS
+from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.evaluation import bench_settings
 from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob
@@ -98,7 +98,7 @@ def test_wrong_options_are_explained(omnisyn: Omnisyn, options: list[str], code:
 
 
 def test_defaults_and_choices_are_those_of_the_library() -> None:
-    from omnisyn_cli.cli.bench import bench as command
+    from omnisyn_cli.cli.evaluate import bench as command
 
     assert ("auto", *FORMATS) == LAYOUTS
     values = command.make_context("bench", []).params

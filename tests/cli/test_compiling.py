@@ -36,7 +36,7 @@ def test_the_bar_says_that_it_waits_for_kernels_and_what_it_said_before(monkeypa
     shown: list[str] = []
     monkeypatch.setattr("rich.progress.Progress.update", lambda bar, task, description, **_: shown.append(description))
     first, second = kernel(cache=False)(lambda x: x + 1), kernel(cache=False)(lambda x: x - 1)
-    with progress.counted_bar("depth", 3, lambda done: "frames" if done > 1 else None, is_quiet=False) as on_frame:
+    with progress.counted_bar("depth", 3, lambda done: "frames" if done > 1 else "depth", is_quiet=False) as on_frame:
         assert on_frame is not None
         first(1)
         on_frame(1)

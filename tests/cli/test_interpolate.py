@@ -16,7 +16,7 @@ import pytest
 
 from cli.cli_samples import SIZE, STAGE_LINE, Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
 from interpolation_samples import edit_poses, use_ffmpeg
-from omnisyn_cli.cli import machine
+from omnisyn_cli.cli import progress
 from omnisyn_cli.io import open_video, read_spherical, write_image
 from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
@@ -299,7 +299,7 @@ def test_settings_that_kernels_cannot_work_with_are_named(tmp_path: Path, pair: 
 def test_memory_that_is_short_is_said_before_the_work(
     tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(machine, "memory_limit", lambda: 10**8)
+    monkeypatch.setattr(progress, "memory_limit", lambda: 10**8)
     assert "GB of memory, got a limit of 0.1;" in omnisyn.made(*folder_arguments(tmp_path, pair, "--dry-run")).err
     monkeypatch.undo()
     assert "got a limit" not in omnisyn.made(*folder_arguments(tmp_path, pair, "--dry-run")).err

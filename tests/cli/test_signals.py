@@ -24,8 +24,8 @@ from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
 from omnisyn_cli.cli import signals
 from omnisyn_cli.cli.signals import Terminated, signals_raised
 from omnisyn_cli.errors import WriteError
-from omnisyn_cli.io.background import BackgroundSink
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess
+from omnisyn_cli.io.video import BackgroundSink
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="no such signals there"),

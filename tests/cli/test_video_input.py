@@ -11,7 +11,7 @@ from cli.cli_samples import Omnisyn, listing
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation import summary
 from omnisyn_cli.io import open_video, read_header
-from omnisyn_cli.io.video_frames import frames_of_video
+from omnisyn_cli.io.ffmpeg_process import frames_of_video
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 SIZE = (216, 384)

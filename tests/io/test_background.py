@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import EncodingError
-from omnisyn_cli.io.background import FRAMES_IN_QUEUE, BackgroundSink, FrameRing, frames_in_queue
+from omnisyn_cli.io.video import FRAMES_IN_QUEUE, BackgroundSink, FrameRing, frames_in_queue
 
 FRAMES = [np.full((2, 4, 3), level, np.uint8) for level in range(12)]
 

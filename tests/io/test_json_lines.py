@@ -5,7 +5,7 @@ import json
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io.json_lines import append_line, complete_lines
+from omnisyn_cli.io.documents import append_line, complete_lines
 
 
 @pytest.mark.parametrize("cut", [b'{"step": 2, "lo', b"\xc3", b'{"step": 2}'])

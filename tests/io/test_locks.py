@@ -12,8 +12,7 @@ import pytest
 from cli.cli_samples import Omnisyn, folder_arguments, start_cli, write_pair
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io import outputs
-from omnisyn_cli.io.locks import claimed
-from omnisyn_cli.io.outputs import abandoned, check_empty_folder, staged_folder, temporary_name
+from omnisyn_cli.io.outputs import abandoned, check_empty_folder, claimed, staged_folder, temporary_name
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such locks there")
 

@@ -6,9 +6,8 @@ import pytest
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.image_networks import (
     CompletionSession,
-    DirectFusionSession,
+    FusionSession,
     GuidedDepthSession,
-    ResidualFusionSession,
 )
 from omnisyn_cli.runtime.session import open_model
 
@@ -35,13 +34,13 @@ PLANES = np.zeros((52, 32, 64), np.float32)
 
 def test_answers_lose_their_batch():
     shares = np.arange(8192.0).reshape(1, 4, 32, 64)
-    np.testing.assert_array_equal(ResidualFusionSession(Session([shares]))(PLANES), shares[0])
+    np.testing.assert_array_equal(FusionSession(Session([shares]), "shares")(PLANES), shares[0])
 
 
 @pytest.mark.parametrize("names", [{"inputs": ("first", "second")}, {"outputs": ("colour",)}])
 def test_other_models_are_refused(names):
     with pytest.raises(InputError, match="expected a model with the input"):
-        ResidualFusionSession(Session([], **names))
+        FusionSession(Session([], **names), "shares")
 
 
 @pytest.mark.parametrize(
@@ -53,17 +52,17 @@ def test_other_models_are_refused(names):
 )
 def test_broken_answers_are_refused(answers, complaint):
     with pytest.raises(InputError, match=complaint):
-        ResidualFusionSession(Session(answers))(PLANES)
+        FusionSession(Session(answers), "shares")(PLANES)
 
 
 def test_a_painter_gives_its_picture_and_other_models_are_none():
     picture = np.random.default_rng(0).random((1, 3, 32, 64))
-    found = DirectFusionSession(Session([picture], outputs=("colour",)))(PLANES[:8])
+    found = FusionSession(Session([picture], outputs=("colour",)), "colour")(PLANES[:8])
     np.testing.assert_array_equal(found, picture[0].astype(np.float32))
     with pytest.raises(InputError, match="the outputs 'colour', got"):
-        DirectFusionSession(Session([]))
+        FusionSession(Session([]), "colour")
     with pytest.raises(InputError, match="outputs of"):
-        DirectFusionSession(Session([picture[:, :1]], outputs=("colour",)))(PLANES[:8])
+        FusionSession(Session([picture[:, :1]], outputs=("colour",)), "colour")(PLANES[:8])
 
 
 def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again():

@@ -16,12 +16,12 @@ from typing import Any, Self
 from omnisyn_cli.batch.manifest import RECORDS
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
-from omnisyn_cli.io.locks import lock
 from omnisyn_cli.io.outputs import (
     TEMPORARY_PREFIX,
     check_folder,
     check_kept,
     hidden_folder,
+    lock,
     temporary_name,
     write_errors,
 )

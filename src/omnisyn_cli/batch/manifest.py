@@ -23,8 +23,8 @@ from omnisyn_cli.interpolation.checks import check_choices, check_method, check_
 from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES, InterpolationJob, targets
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
+from omnisyn_cli.io.encode import NUMBER
 from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, real_path
-from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
 RECORDS = "results.jsonl"

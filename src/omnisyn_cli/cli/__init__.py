@@ -19,18 +19,17 @@ import click
 
 from omnisyn_cli import __version__
 from omnisyn_cli.cli.failures import EXIT_CODES_LINE, EXIT_FAILURE, failure_of
-from omnisyn_cli.cli.lazy import LazyGroup
+from omnisyn_cli.cli.help import LazyGroup
 from omnisyn_cli.cli.signals import signals_raised
 from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import WriteError
-
-__all__ = ["cli", "main"]
 
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 """pydantic would look through all that is installed for other people's code, which takes as long as reading poses."""
 
 atexit.register(gc.disable)  # looking for garbage when all is given back anyway takes a twentieth of a dry run
 
+# Module and one-line help of every command; the command has the name of its key.
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make a 360° video between two or more panoramas."),
     "export": ("omnisyn_cli.cli.export", "Write panoramas and depth for other programs: GLB, PLY, COLMAP."),
@@ -39,18 +38,18 @@ COMMANDS = {
     "info": ("omnisyn_cli.cli.info", "Show what the program reads in your files."),
     "train": ("omnisyn_cli.cli.train", "Train the networks on generated scenes."),
     "models": ("omnisyn_cli.cli.models", "List the bundled networks."),
-    "export-onnx": ("omnisyn_cli.cli.export_onnx", "Export a trained network to ONNX."),
+    "export-onnx": ("omnisyn_cli.cli.models", "Export a trained network to ONNX."),
     "poses": ("omnisyn_cli.cli.poses", "Import, export, check, refine and estimate poses."),
     "eval": ("omnisyn_cli.cli.evaluate", "Compare methods on scenes with true frames and depth."),
-    "bench": ("omnisyn_cli.cli.bench", "Measure the cost and gain of settings on this machine."),
+    "bench": ("omnisyn_cli.cli.evaluate", "Measure the cost and gain of settings on this machine."),
     "scenes": ("omnisyn_cli.cli.scenes", "Generate scenes with exact depth and poses."),
 }
-"""Module and one-line help of every command; the command has the name of its key."""
 
 
 @click.group(
-    cls=LazyGroup, lazy=COMMANDS, epilog=EXIT_CODES_LINE, context_settings={"help_option_names": ["-h", "--help"]}
-)
+    cls=LazyGroup, lazy=COMMANDS, epilog=EXIT_CODES_LINE,
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
+)  # fmt: skip
 @click.version_option(__version__, prog_name="omnisyn")
 def cli() -> None:
     """Make 360° videos between panoramas.

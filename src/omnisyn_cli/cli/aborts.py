@@ -10,22 +10,17 @@ from typing import Any
 
 from omnisyn_cli.cli.failures import EXIT_FAILURE, memory_failure
 
-CXX_LIBRARY = "libstdc++.so.6"
-"""The C++ runtime of GCC, whose handler is replaced."""
-
-SET_TERMINATE = "_ZSt13set_terminatePFvvE"
-"""The mangled name of ``std::set_terminate``."""
-
+CXX_LIBRARY = "libstdc++.so.6"  # the C++ runtime of GCC, whose handler is replaced
+SET_TERMINATE = "_ZSt13set_terminatePFvvE"  # the mangled name of ``std::set_terminate``
+# What the handler calls, by the names that it has for them, and their mangled names; the last compares two types.
 CXX_FUNCTIONS = {
     "omnisyn_former_handler": "_ZN9__gnu_cxx27__verbose_terminate_handlerEv",
     "omnisyn_thrown_type": "__cxa_current_exception_type",
     "omnisyn_is_type": "_ZNKSt9type_info10__do_catchEPKS_PPvj",
 }
-"""What the handler calls, by the names that it has for them, and their mangled names; the last compares two types."""
-
+# Mangled names of the types of exceptions that mean: no more memory, and no more threads.
 MEMORY_TYPES = ("_ZTISt9bad_alloc", "_ZTISt12system_error")
-"""Mangled names of the types of exceptions that mean: no more memory, and no more threads."""
-
+# In the assembly language of LLVM, of any version: addresses are whole numbers here. 2 is standard error.
 HANDLER = """
 declare i64 @omnisyn_thrown_type()
 declare zeroext i1 @omnisyn_is_type(i64, i64, i64, i32)
@@ -51,7 +46,6 @@ other:
   unreachable
 }}
 """
-"""In the assembly language of LLVM, of any version: addresses are whole numbers here. 2 is standard error."""
 
 _kept: list[Any] = []
 """The text and the machine code, which must not be collected."""

@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.failures import EXIT_CODES_LINE, EXIT_FAILURE
-from omnisyn_cli.cli.machine import leftover_notes
 from omnisyn_cli.cli.options import json_option, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.progress import drawn_bars, is_watched
+from omnisyn_cli.cli.progress import drawn_bars, is_watched, leftover_notes
 from omnisyn_cli.cli.terminal import print_json, printable, say
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
     from omnisyn_cli.batch.batch_runner import BatchReport, Progress
 
-MAX_SHOWN_JOBS = 20
-"""Failures in the table at the end; all of them are in results.jsonl and in --json."""
+MAX_SHOWN_JOBS = 20  # failures in the table at the end; all of them are in results.jsonl and in --json
 
 
 class _BatchCommand(click.Command):
@@ -42,7 +40,7 @@ class _BatchCommand(click.Command):
     "-o", "--output", required=True, metavar="FOLDER", type=FilePath(), help="Folder of all outputs and records."
 )
 @click.option(
-    "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
+    "--engine", type=click.Choice(["local", "ray"]), default="local",
     help="Processes on this machine, or actors on a Ray cluster.",
 )  # fmt: skip
 @click.option(
@@ -54,10 +52,7 @@ class _BatchCommand(click.Command):
 @click.option(
     "--ray-address", metavar="ADDRESS", help="Address of the cluster, such as auto.  [default: what Ray finds]"
 )
-@click.option(
-    "--gpus", type=FiniteRange(0), default=0.0, show_default=True,
-    help="GPUs per Ray worker, or a share of one.",
-)  # fmt: skip
+@click.option("--gpus", type=FiniteRange(0), default=0.0, help="GPUs per Ray worker, or a share of one.")
 @click.option("--retry-failed", is_flag=True, help="Repeat jobs that failed in an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace files in FOLDER that no batch wrote.")
 @click.option("--record-host", is_flag=True, help="Write the name of the machine into results.jsonl.")
@@ -98,16 +93,14 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
 @click.argument("source", metavar="FOLDER|POSES", type=FilePath())
 @click.option("-o", "--output", required=True, type=FilePath(), help="Manifest to write (.jsonl).")
 @click.option(
-    "--max-baseline", type=FiniteRange(0, min_open=True), default=10.0, show_default=True,
-    help="Largest distance of neighbours in metres.",
-)  # fmt: skip
+    "--max-baseline", type=FiniteRange(0, min_open=True), default=10.0, help="Largest distance of neighbours in metres."
+)
 @click.option(
-    "--neighbours", type=WholeRange(1), default=2, show_default=True,
-    help="Number of nearest panoramas that each is paired with.",
-)  # fmt: skip
+    "--neighbours", type=WholeRange(1), default=2, help="Number of nearest panoramas that each is paired with."
+)
 @click.option("--one-way", is_flag=True, help="Plan one direction only.")
 @click.option(
-    "--share", type=WholeRange(1), default=8, show_default=True,
+    "--share", type=WholeRange(1), default=8,
     help="Consecutive pairs that one worker does, so that it decodes shared panoramas once.",
 )  # fmt: skip
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Option of every job; may be repeated.")

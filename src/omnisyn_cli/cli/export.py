@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, named, output_options, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -16,11 +16,9 @@ from omnisyn_cli.cli.terminal import say
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.export.formats import ExportSummary
 
-VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")
-"""Those of sites."""
-
+VIEWERS = ("pannellum", "photo-sphere-viewer", "marzipano", "krpano")  # those of sites
+# Those of :data:`omnisyn_cli.interpolation.export.formats.FORMATS`, written out as ``--help`` should not load them.
 FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
-"""Those of :data:`omnisyn_cli.interpolation.export.formats.FORMATS`, written out as ``--help`` should not load them."""
 
 
 @click.command(cls=SectionedCommand)
@@ -37,7 +35,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     " [default: by the output's ending, else glb]",
 )  # fmt: skip
 @click.option(
-    "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096, show_default=True,
+    "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096,
     help="Maximum width of the textures in a GLB, and of panoramas in a site.",
 )  # fmt: skip
 @click.option(
@@ -46,11 +44,10 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="Distance of points or discs in pixels of the depth.  [default: 1; 4 in data sets]",
 )
 @click.option(
-    "--sky/--no-sky", default=None,
-    help="Put the sky on the dome.  [default: sky for glb and splats, else no-sky]",
-)  # fmt: skip
+    "--sky/--no-sky", default=None, help="Put the sky on the dome.  [default: sky for glb and splats, else no-sky]"
+)
 @click.option(
-    "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0, show_default=True,
+    "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0,
     help="Radius of the sphere around each panorama that holds everything farther away.",
 )  # fmt: skip
 @click.option(
@@ -58,12 +55,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="With pannellum and marzipano: make short videos along the links, which the page shows instead of fading.",
 )  # fmt: skip
 @surface_options
-@click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
-)
-@click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
-@json_option("the summary")
-@quiet_option
+@output_options
 def export(
     *, as_json: bool, dry_run: bool, quiet: bool, clips: bool,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002

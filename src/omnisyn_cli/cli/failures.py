@@ -8,29 +8,23 @@ import click
 from omnisyn_cli.cli.signals import Terminated
 from omnisyn_cli.errors import OmnisynError
 
+# Exit codes: 1 and 2 are those of click, 130 is a shell's for Ctrl-C, 3 is this program's own.
 EXIT_FAILURE, EXIT_USAGE, EXIT_INPUT, EXIT_INTERRUPT = 1, 2, 3, 130
-"""Exit codes: 1 and 2 are those of click, 130 is a shell's for Ctrl-C, 3 is this program's own."""
-
+# Meanings, for every command; docs/stability.md says more of each.
 EXIT_CODES: Mapping[int, str] = {
     0: "done", EXIT_FAILURE: "failed (or poses do not fit)", EXIT_USAGE: "wrong usage", EXIT_INPUT: "unusable input",
     EXIT_INTERRUPT: "interrupted",
 }  # fmt: skip
-"""Meanings, for every command; docs/stability.md says more of each."""
-
+# Ends the help of all commands.
 EXIT_CODES_LINE = f"Exit codes: {', '.join(f'{code} {meaning}' for code, meaning in EXIT_CODES.items())}."
-"""Ends the help of all commands."""
-
-SIGNAL_BASE = 128
-"""A program that a signal ends has this code plus the number of the signal, as shells count."""
-
+SIGNAL_BASE = 128  # a program that a signal ends has this code plus the number of the signal, as shells count
+# What Python, the loader, OpenCV and ONNX Runtime say where memory, or room for threads, has run out.
 MEMORY_SIGNS = (
     "can't start new thread", "can't allocate lock", "failed to map segment", "annot allocate memory", "bad_alloc",
     "Insufficient memory", "Failed to allocate memory",
 )  # fmt: skip
-"""What Python, the loader, OpenCV and ONNX Runtime say where memory, or room for threads, has run out."""
-
+# Packages that only some commands need, and the extra that brings each.
 EXTRAS: Mapping[str, str] = {"torch": "train", "matplotlib": "eval"}
-"""Packages that only some commands need, and the extra that brings each."""
 
 REMEDIES: Mapping[int, str] = {
     errno.EMFILE: "allow more open files (ulimit -n)", errno.ENFILE: "close other programs",

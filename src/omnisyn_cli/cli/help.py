@@ -1,10 +1,16 @@
-"""Help of commands with many options: in sections, and without rarely used options unless they are asked for."""
+"""Commands with many options, whose help is in sections; groups of commands, imported when they are called."""
 
+import importlib
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import click
 
+from omnisyn_cli.cli.failures import EXIT_CODES_LINE
+from omnisyn_cli.cli.terminal import printable
+
+# Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last.
 SECTIONS: Mapping[str, str] = {
     "Input": "every path poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect "
     "upper_half hfov vfov horizon view_transform max_pixels",
@@ -16,15 +22,13 @@ SECTIONS: Mapping[str, str] = {
     "For comparison": "method renderer fusion adaptive",
     "Other": "dry_run as_json verbose quiet help_all help",
 }
-"""Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last."""
-
+# Parameters that only ``--help-all`` lists.
 RARE_OPTIONS = (
     "refine", "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform",
     "max_pixels", "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
     "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
     "fov", "look", "method", "renderer", "fusion", "adaptive",
 )  # fmt: skip
-"""Parameters that only ``--help-all`` lists."""
 
 
 class SectionedCommand(click.Command):
@@ -68,3 +72,64 @@ def _show_all(context: click.Context, option: click.Parameter, is_wanted: bool) 
         context.meta[_show_all.__name__] = True
         click.echo(context.get_help())
         context.exit()
+
+
+class PlainGroup(click.Group):
+    """A group that lists its commands in their order and in whole sentences, of which click cuts off all but a line.
+
+    It says which command may have been meant by a word that is none, and what exit codes mean.
+    """
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name, whose help ends with the exit codes."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            command.epilog = EXIT_CODES_LINE
+        return command
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order in which they were added."""
+        return list(self.commands)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that is named; UsageError: a word that is none, with those that may have been meant."""
+        known = self.list_commands(ctx)
+        if args[0] not in known and not args[0].startswith("-") and not ctx.resilient_parsing:
+            import difflib
+
+            near = difflib.get_close_matches(args[0], known, n=2, cutoff=0.5)
+            if not near and "interpolate" in known and Path(args[0]).exists():
+                near = [f"interpolate {args[0]}"]
+            advice = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(known)}"
+            ctx.fail(f"expected a command, got '{printable(args[0])}'; {advice}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Names with the first paragraph of each command's help."""
+        with formatter.section("Commands"):
+            commands = ((name, self.commands[name].help or "") for name in self.list_commands(ctx))
+            formatter.write_dl([(name, " ".join(text.partition("\n\n")[0].split())) for name, text in commands])
+
+
+class LazyGroup(PlainGroup):
+    """A group whose commands are imported when they are called.
+
+    ``lazy`` has the module and one-line help of each. The command has the name of its key, with ``_`` for ``-``, and
+    one more at the end where that is a word of Python's.
+    """
+
+    def __init__(self, *, lazy: Mapping[str, tuple[str, str]], **options: Any) -> None:
+        stubs = {name: click.Command(name, help=text) for name, (_, text) in lazy.items()}
+        super().__init__(commands=stubs, **options)
+        self.modules = {name: module for name, (module, _) in lazy.items()}
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name, imported now."""
+        if cmd_name not in self.modules:
+            return None
+        module, name = importlib.import_module(self.modules[cmd_name]), cmd_name.replace("-", "_")
+        command: click.Command = getattr(module, name, None) or getattr(module, f"{name}_")
+        command.epilog = EXIT_CODES_LINE
+        return command

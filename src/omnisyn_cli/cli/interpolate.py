@@ -57,25 +57,21 @@ if TYPE_CHECKING:
     "here]",
 )  # fmt: skip
 @click.option(
-    "--path", metavar="A,B[,C...]",
-    help="Follow the links of the folder from A to B and on (docs/view.md#tours).",
-)  # fmt: skip
+    "--path", metavar="A,B[,C...]", help="Follow the links of the folder from A to B and on (docs/view.md#tours)."
+)
 @click.option(
     "--every", metavar="SECONDS", type=Seconds(0, min_open=True),
     help="Extract panoramas from a 360° video at this interval, and estimate their poses.",
 )  # fmt: skip
 @click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Length in seconds.  [default: 3 per pair]")
-@click.option(
-    "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
-)
+@click.option("--fps", type=FrameRate(), default=30.0, help="Frames per second, such as 25 or 30000/1001.")
 @click.option(
     "--size", type=Size(is_free=True),
     help="Size of the video, such as 2048x1024.  [default: that of the largest panorama, in H.264 at most 4096x2048]",
 )  # fmt: skip
 @click.option(
     "--method", type=click.Choice([name for name, method in METHODS.items() if method.is_offered]), default=OMNISYN,
-    show_default=True,
     help="omnisyn, or the baseline SynSin from the nearer panorama or from both (256x128, blurred).",
 )  # fmt: skip
 @preset_option
@@ -86,7 +82,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @depth_options
 @click.option(
-    "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto", show_default=True,
+    "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto",
     help=f"Renderer of the meshes. {listed(RENDERERS)}; auto: the preset's.",
 )  # fmt: skip
 @cut_options
@@ -96,16 +92,16 @@ if TYPE_CHECKING:
     "33 frames per pair on]",
 )  # fmt: skip
 @click.option(
-    "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
+    "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto",
     help=f"How two renderings become one frame. {listed(FUSIONS)}; auto: the preset's, but geometric "
     "with --depth, depth files or frames on a GPU.",
 )  # fmt: skip
 @click.option(
-    "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
+    "--ease", type=click.Choice(["linear", "smooth"]), default="linear",
     help="Constant speed, or a gentle start and stop.",
 )  # fmt: skip
 @click.option(
-    "--heading", type=click.Choice(["panoramas", "first", "fixed", "travel"]), default="panoramas", show_default=True,
+    "--heading", type=click.Choice(["panoramas", "first", "fixed", "travel"]), default="panoramas",
     help="Where the image centre looks. panoramas: from one panorama's heading to the next; first: that of the "
     "first; fixed: the world's −z; travel: along the path.",
 )  # fmt: skip
@@ -123,7 +119,7 @@ if TYPE_CHECKING:
 @nadir_option
 @click.option("--nadir-fill", is_flag=True, help="Fill masked areas with ground in the first and last frame, too.")
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
+    "--fallback", type=click.Choice(FALLBACKS), default="soft",
     help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded regions; none: a "
     "warning; fail: exit code 3.",
 )  # fmt: skip
@@ -151,7 +147,7 @@ if TYPE_CHECKING:
     "or a JSON file of keyframes.  [default: ahead]",
 )  # fmt: skip
 @click.option(
-    "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono", show_default=True,
+    "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono",
     help="top-bottom: both eyes for headsets, one above the other. Distances have to be in metres.",
 )  # fmt: skip
 @device_option("Where networks run; auto uses a GPU if ONNX Runtime has one. All else runs on the processor.")
@@ -227,8 +223,8 @@ def _views(given: tuple[Path, ...]) -> dict[str, Any]:
 def _frames_of_video(options: dict[str, Any], every: float | None) -> dict[str, Any]:
     """Panoramas, poses and output where one video is given; its frames are there as long as the command runs."""
     from omnisyn_cli.interpolation.inputs import video_ending
+    from omnisyn_cli.io.ffmpeg_process import VIDEO_SUFFIXES, frames_of_video
     from omnisyn_cli.io.outputs import check_kept
-    from omnisyn_cli.io.video_frames import VIDEO_SUFFIXES, frames_of_video
 
     video, *others = options["images"]
     is_video = not others and video.suffix.lower() in VIDEO_SUFFIXES

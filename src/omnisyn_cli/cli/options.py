@@ -1,4 +1,4 @@
-"""Options that several commands have, and how they say and print what there is."""
+"""Options that several commands have, and what their values mean together."""
 
 from collections.abc import Callable, Mapping
 from functools import reduce
@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import DegreeRange, FilePath, FiniteRange, NadirRange, WholeRange
-from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import DEVICES
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
@@ -21,7 +20,7 @@ def all_of(*options: Callable[..., Any]) -> Callable[..., Any]:
 
 def defaulted(name: str, default: Any, what: str, **more: Any) -> Callable[..., Any]:
     """An option whose default is shown."""
-    return click.option(name, default=default, show_default=True, help=what, **more)
+    return click.option(name, default=default, help=what, **more)
 
 
 def whole_option(name: str, default: int, least: int, what: str) -> Callable[..., Any]:
@@ -36,7 +35,7 @@ def listed(registry: Mapping[str, Any]) -> str:
 
 def device_option(what: str) -> Callable[[Any], Any]:
     """Where networks, or what is said, run."""
-    return click.option("--device", type=click.Choice(DEVICES), default="auto", show_default=True, help=what)
+    return click.option("--device", type=click.Choice(DEVICES), default="auto", help=what)
 
 
 def json_option(what: str) -> Callable[[Any], Any]:
@@ -47,9 +46,8 @@ def json_option(what: str) -> Callable[[Any], Any]:
 def report_option(what: str) -> Callable[[Any], Any]:
     """The folder of a run that can be gone on with."""
     return click.option(
-        "--report", metavar="DIR", type=FilePath(),
-        help=f"Keep {what} here. An interrupted run resumes from them.",
-    )  # fmt: skip
+        "--report", metavar="DIR", type=FilePath(), help=f"Keep {what} here. An interrupted run resumes from them."
+    )
 
 
 threads_option = click.option(
@@ -67,13 +65,8 @@ masks_option = click.option(
     help="Image that is black where a panorama must not be used. Give one per panorama, in order.",
 )  # fmt: skip
 
-cap_option = click.option(
-    "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0,
-    help="Mask a cap of this radius around straight down, such as a tripod or a car roof.",
-)  # fmt: skip
-
 nadir_option = click.option(
-    "--nadir", metavar="DEGREES|auto", type=NadirRange(), default="auto", show_default=True,
+    "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
     help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
 )  # fmt: skip
 
@@ -104,7 +97,7 @@ tour_options = all_of(
 
 depth_options = all_of(
     click.option(
-        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
+        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto",
         help=f"Source of depth. {listed(DEPTH_SOURCES)}; auto: files if every panorama has one, else the preset's.",
     ),
     click.option(
@@ -116,7 +109,7 @@ depth_options = all_of(
         "the preset's]",
     ),
     click.option(
-        "--depth-prior-kind", metavar="WORDS", default="",
+        "--depth-prior-kind", metavar="WORDS", default="", show_default=False,
         help="What its file does not say, such as perspective,inverse-depth.",
     ),
 )  # fmt: skip
@@ -148,28 +141,40 @@ reading_options = all_of(
         help="Vertical angle of such panoramas.  [default: follows from --hfov]",
     ),
     click.option(
-        "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5, show_default=True,
+        "--horizon", metavar="SHARE", type=FiniteRange(0, 1), default=0.5,
         help="Height of their horizon, from 0 (top) to 1 (bottom).",
     ),
 )  # fmt: skip
 """What of the sphere pictures show, where their files do not say it."""
 
+picture_options = all_of(
+    masks_option,
+    click.option(
+        "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0, show_default=False,
+        help="Mask a cap of this radius around straight down, such as a tripod or a car roof.",
+    ),
+    threads_option,
+    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
+    reading_options,
+)  # fmt: skip
+"""How pictures are read whose poses are found or checked."""
+
 size_options = all_of(
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
     reading_options,
     click.option(
-        "--view-transform/--no-view-transform", default=True,
+        "--view-transform/--no-view-transform", default=True, show_default=False,
         help="Tone-map linear light of EXR and HDR files for screens, or keep its numbers.  [default: tone-map]",
     ),
     click.option(
-        "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
+        "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192,
         help="Refuse panoramas, masks and depth files with more pixels, before decoding.",
     ),
 )  # fmt: skip
 """What of unusual panoramas is accepted."""
 
 preset_option = click.option(
-    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET,
+    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=False,
     help="Speed against accuracy: seconds of one slow core for 90 frames of 1024x512, and their WS-PSNR.\n\n\b\n"
     + "\n".join(f"{name:9} {preset.summary}" for name, preset in PRESETS.items()),
 )  # fmt: skip
@@ -182,13 +187,21 @@ surface_options = all_of(
 )  # fmt: skip
 """How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""
 
+output_options = all_of(
+    click.option(
+        "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
+    ),
+    click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing."),
+    json_option("the summary"),
+    quiet_option,
+)
+"""What becomes of an old output, and what is said of the new one."""
+
 
 def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, Any]:
     """Options in which the panoramas of a folder, the pose file and the output are named, whoever named them.
 
-    Args:
-        options: with those of :data:`tour_options`, ``output`` and ``allow_outside``; perhaps with a ``path``.
-        ending: that of the output if nobody named it, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
+    An output that nobody named has this ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
     """
     from omnisyn_cli.interpolation.inputs import along_path, named_tour, poses_beside
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
@@ -224,16 +237,3 @@ def check_one_cut(options: Mapping[str, Any]) -> None:
     """Refuse both of :data:`cut_options`."""
     if options["cut"] is not None and options["cut_metres"] is not None:
         raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
-
-
-def print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
-    """Print a plan as JSON; or a sentence, and a line for each value that says something new."""
-    if as_json:
-        print_json(values)
-        return
-    say(sentence)
-    for key, value in values.items():
-        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-        shown = ("no", "yes")[value] if isinstance(value, bool) else shown
-        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
-            say(f"{key.replace('_', ' '):>18}: {shown}")

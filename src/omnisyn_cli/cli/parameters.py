@@ -5,19 +5,11 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from omnisyn_cli.pipeline.config import frame_size
-
-if TYPE_CHECKING:
-    SizeType = click.ParamType[tuple[int, int]]
-else:
-    SizeType = click.ParamType  # older releases of click have no generic one
-
-SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
-"""Characters that divide folders on this system."""
 
 
 class FiniteRange(click.FloatRange):
@@ -31,19 +23,6 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"expected a finite number, got {value}", param, ctx)
         return number
-
-
-class NadirRange(FiniteRange):
-    """Degrees on the command line, radians in the program; ``auto`` is None."""
-
-    name = "degrees"
-
-    def __init__(self) -> None:
-        super().__init__(0, 90, max_open=True)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The angle, or None."""
-        return None if value in ("auto", None) else math.radians(super().convert(value, param, ctx))
 
 
 class Seconds(FiniteRange):
@@ -64,6 +43,14 @@ class DegreeRange(FiniteRange):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The angle in radians."""
         return math.radians(super().convert(value, param, ctx))
+
+
+class NadirRange(DegreeRange):
+    """The same; ``auto`` is None."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The angle, or None."""
+        return None if value in ("auto", None) else super().convert(value, param, ctx)
 
 
 class WholeRange(click.IntRange):
@@ -111,11 +98,11 @@ class FramePlace(FilePath):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The path; for a folder with a dot in its name, the pattern of what comes into it."""
         path = super().convert(value, param, ctx)
-        is_folder = str(value).endswith(SEPARATORS) and path.suffix != ""
+        is_folder = str(value).endswith((os.sep, os.altsep or os.sep)) and path.suffix != ""
         return path / "%06d" if is_folder else path
 
 
-class Size(SizeType):
+class Size(click.ParamType):  # type: ignore[type-arg]
     """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program; twice as wide as high unless free."""
 
     name = "WxH"

@@ -10,40 +10,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.failures import EXIT_FAILURE
-from omnisyn_cli.cli.lazy import PlainGroup
-from omnisyn_cli.cli.machine import leftover_notes
-from omnisyn_cli.cli.options import (
-    all_of,
-    cap_option,
-    json_option,
-    masks_option,
-    outside_option,
-    quiet_option,
-    reading_options,
-)
-from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
+from omnisyn_cli.cli.help import PlainGroup
+from omnisyn_cli.cli.options import json_option, outside_option, picture_options, quiet_option
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size
+from omnisyn_cli.cli.progress import leftover_notes
 from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.estimation import PictureOptions
     from omnisyn_cli.poses.formats.files import Origin
 
-    PlaceType = click.ParamType[Origin]
-else:
-    PlaceType = click.ParamType  # older releases of click have no generic one
-
+# ``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them.
 IMPORT_FORMATS = (
     "auto", "exif", "table", "colmap", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind", "authors",
 )  # fmt: skip
-"""``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them."""
-
+# Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise.
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
-"""Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise."""
 
 CAMERA_AXES = ("opengl", "opencv", "flu")
 
+# What a user may call up: an axis of the positions, or what the cameras hold upright.
 UP_AXES = ("y", "-y", "z", "-z", "cameras")
-"""What a user may call up: an axis of the positions, or what the cameras hold upright."""
 
 ROLL_DIRECTIONS = ("counter-clockwise", "clockwise")
 
@@ -54,16 +41,9 @@ poses_option = click.option(
 )  # fmt: skip
 output_option = click.option("-o", "--output", required=True, type=FilePath(), help="Pose file to write.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
-picture_options = all_of(
-    masks_option,
-    cap_option,
-    click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]"),
-    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
-    reading_options,
-)
 
 
-class Place(PlaceType):
+class Place(click.ParamType):  # type: ignore[type-arg]
     """``LATITUDE,LONGITUDE[,ALTITUDE]`` as three numbers."""
 
     name = "place"
@@ -80,15 +60,7 @@ class Place(PlaceType):
         return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 0.0
 
 
-class PosesGroup(PlainGroup):
-    """Its commands in the order in which a newcomer needs them."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of this file."""
-        return list(self.commands)
-
-
-@click.group(cls=PosesGroup)
+@click.group(cls=PlainGroup)
 def poses() -> None:
     """Import, export, check, refine and estimate poses."""
 
@@ -96,7 +68,7 @@ def poses() -> None:
 @poses.command("import")
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=FilePath())
 @click.option("-o", "--output", required=True, type=FilePath(), help="The pose file to write.")
-@click.option("--format", "format_name", type=click.Choice(IMPORT_FORMATS), default="auto", show_default=True)
+@click.option("--format", "format_name", type=click.Choice(IMPORT_FORMATS), default="auto")
 @click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: where SOURCE says]")
 @click.option(
     "--copy-images", is_flag=True, help="Copy panoramas (and depth) beside the pose file, under unique names."
@@ -116,7 +88,7 @@ def poses() -> None:
 )  # fmt: skip
 @click.option("--floor", help="Floor of a ZInD tour, e.g. floor_01.  [default: the only one]")
 @click.option(
-    "--time-tolerance", type=FiniteRange(0), default=0.02, show_default=True,
+    "--time-tolerance", type=FiniteRange(0), default=0.02,
     help="Largest difference in seconds between the time stamps of poses and images.",
 )  # fmt: skip
 @click.option("--allow-outside", is_flag=True, help="Accept images outside the folder of SOURCE.")

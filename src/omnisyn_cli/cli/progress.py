@@ -1,11 +1,15 @@
-"""What is said on stderr while a command works: how far it is, and why nothing happens for a while."""
+"""What is said on stderr before and while a command works.
+
+Memory that is short, what killed runs have left, how far it is, and why nothing happens for a while.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +18,9 @@ from omnisyn_cli.cli.terminal import printable, say
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
+# Printed once, before the first run compiles.
 COMPILING_NOTE = "note: compiling kernels for the first run of this kind: about half a minute"
-"""Printed once, before the first run compiles."""
-
-MIN_BAR_SECONDS = 1.5
-"""Seconds of compiling that nobody needs to be told about."""
+MIN_BAR_SECONDS = 1.5  # seconds of compiling that nobody needs to be told about
 
 COMPILING_AGAIN = (
     "note: compiling the kernels, about a minute each time: there is no place to keep them; set NUMBA_CACHE_DIR to a "
@@ -62,22 +64,15 @@ def drawn_bars(*columns: ProgressColumn, **options: Any) -> Progress:
 
 @contextmanager
 def counted_bar(
-    begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool, has_lines: bool = False
+    begins: str, total: int, name: Callable[..., str], *, is_quiet: bool
 ) -> Iterator[Callable[..., None] | None]:
-    """A bar with the time left on stderr; what is yielded takes how many are done, and perhaps what was done last.
+    """A bar with the time left on stderr, a line for everything that is done where that is no terminal, None if quiet.
 
-    While kernels are compiled, the bar says that instead.
-
-    Args:
-        begins: what stands before the bar at first.
-        total: how many there are to be done.
-        name: what stands before the bar then, of the same arguments; None leaves it as it is.
-        is_quiet: there is no bar then, nor where stderr is no terminal, and None is yielded.
-        has_lines: where stderr is no terminal, say everything that is done in a line.
+    What is yielded takes how many of ``total`` are done, and what was done last; ``name`` makes of these what stands
+    before the bar, as ``begins`` does at first. While kernels are compiled, the bar says that instead.
     """
     if not is_watched(is_quiet=is_quiet):
-        is_said = has_lines and not is_quiet
-        yield (lambda done, *what: say(f"{done}/{total} {name(done, *what)}", err=True)) if is_said else None
+        yield None if is_quiet else (lambda done, *what: say(f"{done}/{total} {name(done, *what)}", err=True))
         return
     from rich import progress
 
@@ -87,7 +82,7 @@ def counted_bar(
         task, shown = bars.add_task(begins, total=total), [begins]
 
         def show(done: int, *what: Any) -> None:
-            shown[0] = name(done, *what) or shown[0]
+            shown[0] = name(done, *what)
             bars.update(task, completed=done, description=shown[0])
 
         def compile_(is_begun: bool) -> None:
@@ -97,6 +92,7 @@ def counted_bar(
             yield show
 
 
+# What is said of each stage, in order.
 STAGES: Mapping[str, str] = {
     "poses": "finding poses",
     "reading": "reading panoramas",
@@ -104,24 +100,15 @@ STAGES: Mapping[str, str] = {
     "frames": "making frames",
     "writing": "writing",
 }
-"""What is said of each stage, in order."""
-
-UNCOUNTED_STAGES = ("poses", "reading")
-"""Stages that are over when the next one begins."""
-
+UNCOUNTED_STAGES = ("poses", "reading")  # stages that are over when the next one begins
+# The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to.
 STAGE_OF_CLOCK: Mapping[str, str] = {
     "decode": "reading", "depth": "depth", "pack": "writing", "write": "writing",
 }  # fmt: skip
-"""The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to."""
 
 
 class Stages:
-    """The stages of a command: a bar for each on a terminal; elsewhere a line when one begins.
-
-    Args:
-        bars: where bars are drawn; None is no terminal.
-        is_quiet: nothing is said at all.
-    """
+    """The stages of a command: a bar for each on a terminal; else, without ``bars``, a line when one begins."""
 
     def __init__(self, bars: Progress | None, *, is_quiet: bool) -> None:
         self._bars, self._is_quiet, self._begin = bars, is_quiet, time.monotonic()
@@ -209,3 +196,48 @@ def shown_stages(*, is_quiet: bool) -> Iterator[Stages]:
             times = (progress.TimeElapsedColumn(), progress.TimeRemainingColumn(compact=True))
             bars = stack.enter_context(drawn_bars(progress.MofNCompleteColumn(), *times, transient=True))
         yield Stages(bars, is_quiet=is_quiet)
+
+
+CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")  # where Linux says what a container may have: bytes, or ``max``
+
+
+def memory_notes(expected: float) -> Iterator[str]:
+    """What there is to say if ``expected`` bytes are more than this process may have."""
+    limit = memory_limit()
+    if limit is None or expected <= limit:
+        return
+    yield (
+        f"expected {expected / 1e9:.1f} GB of memory, got a limit of {limit / 1e9:.1f}; the system "
+        "may end this program: take a smaller --size or fewer --threads"
+    )
+
+
+def memory_limit() -> int | None:
+    """The least of what there is, what its container may have, and what its user's limits allow, in bytes.
+
+    None where nobody says.
+    """
+    limits = []
+    with suppress(ImportError, OSError):
+        import resource
+
+        soft = (resource.getrlimit(limit)[0] for limit in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
+        limits += [limit for limit in soft if limit != resource.RLIM_INFINITY]
+    with suppress(OSError, ValueError):
+        limits.append(int(CGROUP_LIMIT.read_text(encoding="ascii")))
+    with suppress(AttributeError, OSError, ValueError):
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    return min(limits, default=None)
+
+
+def leftover_notes(output: Path, pictures: Path | None = None) -> Iterator[str]:
+    """What runs that were killed have left where an output goes and anywhere in ``pictures``, and how to remove it."""
+    import shlex
+
+    from omnisyn_cli.io.outputs import abandoned
+
+    deeper = sorted(pictures.glob("**/")) if pictures else []
+    found = [left for folder in (output.parent, output, *deeper) for left in abandoned(folder)]
+    if found:
+        names = " ".join(shlex.quote(str(path)) for path in found)
+        yield f"runs that were killed have left hidden files; nothing needs them, remove them with: rm -r {names}"

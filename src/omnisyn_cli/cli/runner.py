@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from omnisyn_cli.cli.machine import leftover_notes, memory_notes
-from omnisyn_cli.cli.options import print_plan
-from omnisyn_cli.cli.progress import say_when_compiling, shown_stages
+from omnisyn_cli.cli.progress import leftover_notes, memory_notes, say_when_compiling, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
@@ -34,22 +32,13 @@ def run_job(
     frames: Callable[[P], int] = lambda plan: 0,
     is_report_possible: bool = True,
 ) -> S | None:
-    """Plan a job, print the plan and stop, or carry it out.
+    """Plan a job by ``plan_of``, print the plan and stop, or carry it out, and print by ``report`` what was done.
 
-    Args:
-        job: what is asked for.
-        plan_of: checks it.
-        load: imports what carries it out, which is called with the plan and what counts its frames.
-        report: prints for people what was done.
-        as_json: whether JSON is printed instead.
-        dry_run: whether nothing is to be made.
-        quiet: whether nothing but errors is printed.
-        expected: what else is said of the plan.
-        frames: how many are made.
-        is_report_possible: whether the panoramas are still there when the command has ended.
+    ``load`` imports what carries it out, which is called with the plan and what counts its ``frames``. ``expected`` is
+    what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
-    from omnisyn_cli.io.locks import claimed
+    from omnisyn_cli.io.outputs import claimed
 
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
         for note in leftover_notes(job.output):  # before the output is refused
@@ -64,7 +53,7 @@ def run_job(
             stages.note(f"note: {note}")
         if dry_run:
             if as_json or not quiet:
-                print_plan(values, plan.in_words(values), as_json=as_json)
+                _print_plan(values, plan.in_words(values), as_json=as_json)
             return None
         from omnisyn_cli.cli.aborts import explain_memory_aborts
         from omnisyn_cli.compute.jit import while_compiling
@@ -93,3 +82,16 @@ def run_job(
         for line in summary.lines(is_report_possible=is_report_possible):
             say(line)
     return summary
+
+
+def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
+    """Print a plan as JSON; or a sentence, and a line for each value that says something new."""
+    if as_json:
+        print_json(values)
+        return
+    say(sentence)
+    for key, value in values.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        shown = ("no", "yes")[value] if isinstance(value, bool) else shown
+        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
+            say(f"{key.replace('_', ' '):>18}: {shown}")

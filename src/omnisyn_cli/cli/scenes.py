@@ -1,5 +1,7 @@
 """``omnisyn scenes``: panoramas with exact depth and poses, procedural ones and those of textured meshes."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.lazy import PlainGroup
-from omnisyn_cli.cli.options import defaulted, quiet_option, threads_option, whole_option
+from omnisyn_cli.cli.help import PlainGroup
+from omnisyn_cli.cli.options import quiet_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 from omnisyn_cli.cli.terminal import say
@@ -17,14 +19,13 @@ if TYPE_CHECKING:
     from omnisyn_cli.geometry.pose import Pose
     from omnisyn_cli.scenes.mesh.render import MeshScene
 
+# What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them.
 KINDS = ("street", "room", "home")
-"""What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
-
+# Of every command that makes scenes.
 TEXTURES = click.option(
     "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
     help="Photographs to use as materials of walls, floors, fronts, pictures and objects.",
 )  # fmt: skip
-"""Of every command that makes scenes."""
 
 MEDIUM_TEXTURE = 0.5  # Share of the area without texture from which on a line says so
 
@@ -34,8 +35,8 @@ def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
 
 
+# Parameters that the standard set has not fixed.
 SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
-"""Parameters that the standard set has not fixed."""
 
 
 @scenes.command()
@@ -44,18 +45,18 @@ SUITE_OPTIONS = {"out", "suite", "size", "threads", "overwrite", "quiet"}
     "--suite", is_flag=True,
     help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, with three frames between.",
 )  # fmt: skip
-@defaulted("--kind", "street", "Kind of scene.", type=click.Choice(KINDS))
-@whole_option("--seed", 0, 0, "Seed of the first scene; the next ones count up.")
-@whole_option("--count", 1, 1, "Number of scenes; above 1 each gets a folder in OUT.")
-@whole_option("--frames", 3, 1, "Panoramas on a straight line.")
-@defaulted("--size", "1024x512", "Size of the panoramas.", type=Size())
+@click.option("--kind", type=click.Choice(KINDS), default="street", help="Kind of scene.")
+@click.option("--seed", type=WholeRange(0), default=0, help="Seed of the first scene; the next ones count up.")
+@click.option("--count", type=WholeRange(1), default=1, help="Number of scenes; above 1 each gets a folder in OUT.")
+@click.option("--frames", type=WholeRange(1), default=3, help="Panoramas on a straight line.")
+@click.option("--size", type=Size(), default="1024x512", help="Size of the panoramas.")
 @click.option(
     "--baseline", type=FiniteRange(0, min_open=True),
     help="Metres from the first panorama to the last.  [default: random]",
 )  # fmt: skip
-@defaulted("--tilt", 0.0, "Camera tilt in degrees.", type=FiniteRange(0, 90))
+@click.option("--tilt", type=FiniteRange(0, 90), default=0.0, help="Camera tilt in degrees.")
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
-@defaulted("--supersample", 3, "Samples per pixel along each axis.", type=WholeRange(1, 8))
+@click.option("--supersample", type=WholeRange(1, 8), default=3, help="Samples per pixel along each axis.")
 @click.option(
     "--name", "names", multiple=True, help="Image file of a frame, once per frame.  [default: 0000.png, 0001.png, ...]"
 )
@@ -172,17 +173,17 @@ def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 @scenes.command()
 @click.argument("meshes", nargs=-1, required=True, type=FilePath(dir_okay=False))
 @click.option("-o", "--output", required=True, type=FilePath(file_okay=False), help="Folder to write.")
-@whole_option("--count", 1, 1, "Walks through each mesh.")
-@whole_option("--frames", 3, 1, "Panoramas on a straight line.")
+@click.option("--count", type=WholeRange(1), default=1, help="Walks through each mesh.")
+@click.option("--frames", type=WholeRange(1), default=3, help="Panoramas on a straight line.")
 @click.option("--poses", type=FilePath(dir_okay=False), help="Pose file of the cameras, in the mesh's frame, y up.")
-@defaulted("--size", "1024x512", "Size of the panoramas.", type=Size())
-@defaulted("--scale", 1.0, "Metres per unit.", type=FiniteRange(0, min_open=True))
+@click.option("--size", type=Size(), default="1024x512", help="Size of the panoramas.")
+@click.option("--scale", type=FiniteRange(0, min_open=True), default=1.0, help="Metres per unit.")
 @click.option("--z-up", is_flag=True, help="The z axis of the files is up, instead of y.")
 @click.option("--unlit", is_flag=True, help="Show textures without lighting, as for scans.")
 @click.option("--textures", type=FilePath(file_okay=False), help="Photographs for surfaces without texture.")
-@defaulted("--light-rays", 64, "Light rays per pixel.", type=WholeRange(4, 1024))
-@defaulted("--supersample", 2, "Samples per pixel along each axis.", type=WholeRange(1, 8))
-@whole_option("--seed", 0, 0, "Seed of walks and lighting.")
+@click.option("--light-rays", type=WholeRange(4, 1024), default=64, help="Light rays per pixel.")
+@click.option("--supersample", type=WholeRange(1, 8), default=2, help="Samples per pixel along each axis.")
+@click.option("--seed", type=WholeRange(0), default=0, help="Seed of walks and lighting.")
 @click.option("--pool", is_flag=True, help="Write training scenes (.npz) for `omnisyn train recipe` instead.")
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
@@ -248,7 +249,7 @@ def _mesh(path: Path, scale: float, photos: list[Any], seed: int, *, z_up: bool,
 
 def _walk(
     mesh: Any, path: Path, seeds: tuple[int, ...], frames: int, poses: Path | None, light_rays: int
-) -> tuple["MeshScene", dict[str, "Pose"]]:
+) -> tuple[MeshScene, dict[str, Pose]]:
     """The lit scene, and a pose for each image."""
     import numpy as np
 
@@ -276,16 +277,15 @@ def _walk(
 
 
 def _write_folder(
-    folder: Path, scene: "MeshScene", line: dict[str, "Pose"], size: tuple[int, int], supersample: int,
+    folder: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int,
     no_depth: bool, overwrite: bool,
 ) -> None:  # fmt: skip
     from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
-    from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
+    from omnisyn_cli.io.outputs import make_folder, staged_folder
     from omnisyn_cli.scenes.mesh.render import render_mesh
 
     files = files_of_scene(line, with_depth=not no_depth)
-    for file in files if folder.is_dir() else []:
-        check_output(folder / file, overwrite)
+    _check_folder(folder, files, overwrite)
     make_folder(folder.parent, "scenes")
     with staged_folder(folder, overwrite=overwrite) as staged:
         write_renderings(
@@ -294,7 +294,7 @@ def _write_folder(
 
 
 def _write_walk(
-    path: Path, scene: "MeshScene", line: dict[str, "Pose"], size: tuple[int, int], supersample: int, overwrite: bool
+    path: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int, overwrite: bool
 ) -> Path:
     from omnisyn_cli.io.outputs import check_output, make_folder
     from omnisyn_cli.training.data import save_samples

@@ -9,21 +9,16 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+# What ending signals do unless they are ignored (nohup) or somebody else's.
 FORMER_HANDLERS: dict[str, Callable[[int, FrameType | None], Any] | signal.Handlers] = {
     "SIGINT": signal.default_int_handler,
     "SIGTERM": signal.SIG_DFL,
     "SIGHUP": signal.SIG_DFL,
 }
-"""What ending signals do unless they are ignored (nohup) or somebody else's."""
-
+# Whether the system wakes a program to look again; Windows does not, so exceptions are raised at once there.
 HAS_ALARM = hasattr(signal, "setitimer")
-"""Whether the system wakes a program to look again; Windows does not, so exceptions are raised at once there."""
-
-SIGNAL_RETRY_SECONDS = 0.02
-"""Seconds until it is looked again whether an exception may be raised."""
-
-SIGNAL_PATIENCE_SECONDS = 10.0
-"""Seconds after which it is raised wherever the program is: something hangs."""
+SIGNAL_RETRY_SECONDS = 0.02  # seconds until it is looked again whether an exception may be raised
+SIGNAL_PATIENCE_SECONDS = 10.0  # seconds after which it is raised wherever the program is: something hangs
 
 FRAGILE_MODULES = {
     "_weakrefset", "concurrent.futures._base", "concurrent.futures.process", "concurrent.futures.thread", "contextlib",
@@ -32,11 +27,10 @@ FRAGILE_MODULES = {
 FRAGILE_FUNCTIONS = {"__del__", "__enter__", "__exit__"}
 """Where an exception is lost, leaves a lock taken or gives it back twice, or breaks off what tidies up or publishes."""
 
+# Functions of fragile modules that may wait for ever and, while they do, bear an exception.
 WAITING_FUNCTIONS = {"as_completed", "result", "wait"}
-"""Functions of fragile modules that may wait for ever and, while they do, bear an exception."""
-
+# Of contextlib: calls a function that is decorated with a context, which may be the whole work.
 CONTEXT_FUNCTION = "inner"
-"""Of contextlib: calls a function that is decorated with a context, which may be the whole work."""
 
 
 class Terminated(BaseException):

@@ -6,13 +6,12 @@ import click
 
 from omnisyn_cli.errors import WriteError
 
+# Characters that end a line, begin an escape sequence or turn the direction of writing around.
 CONTROL_CODES = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A),
 )  # fmt: skip
-"""Characters that end a line, begin an escape sequence or turn the direction of writing around."""
-
+# For ``str.translate``: control characters become escapes, so that names cannot steer a terminal.
 SPELLED_OUT = {code: f"\\u{code:04x}" for code in CONTROL_CODES}
-"""For ``str.translate``: control characters become escapes, so that names cannot steer a terminal."""
 
 
 def printable(text: str) -> str:

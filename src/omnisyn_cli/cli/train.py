@@ -7,13 +7,13 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli import train_pools
-from omnisyn_cli.cli.lazy import PlainGroup
+from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.options import all_of, defaulted, whole_option
 from omnisyn_cli.cli.parameters import FiniteRange, WholeRange
 from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, run_options
 
+# Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long.
 SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
-"""Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""
 
 
 @click.group(cls=PlainGroup)
@@ -145,7 +145,7 @@ def _beginning(chosen: str, role: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _train(
-    network: Any, name: str, folder: Path, minutes: float | None, steps: int | None, threads: int, device: str,
+    network: Any, name: str, folder: Path, minutes: float | None, steps: int | None, threads: int | None, device: str,
     begin_with: Path | None, pool: Path, validation_pool: Path, height: int | None = None,
     weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
@@ -184,3 +184,6 @@ def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     check_output(output, overwrite)
     check_kept([output], [checkpoint])
     save_checkpoint(output, compact(load_checkpoint(checkpoint)))
+
+
+train.commands = dict(sorted(train.commands.items()))  # as they are listed

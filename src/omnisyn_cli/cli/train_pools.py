@@ -7,27 +7,24 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.evaluate import LAYOUTS
+from omnisyn_cli.cli.evaluate import layout_option
 from omnisyn_cli.cli.options import all_of, defaulted, device_option, whole_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
+# Click types: any path that is no file, and any that is no folder.
 FOLDER, FILE = FilePath(file_okay=False), FilePath(dir_okay=False)
-"""Click types: any path that is no file, and any that is no folder."""
-
+# Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them.
 POOL_MULTIPLE = 64
-"""Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them."""
-
+# An option of all runs.
 MINUTES = click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]")
-"""An option of all runs."""
-
+# Options of all runs: where they compute.
 MACHINE = (
-    click.option("--threads", default=0, type=WholeRange(0), help="Processor threads. [default: all]"),
+    click.option("--threads", type=WholeRange(0), help="Processor threads. [default: all]"),
     device_option("auto uses bfloat16 if the machine has it."),
 )
-"""Options of all runs: where they compute."""
 
 
 def _height_option(of: str, height: int = 256) -> Callable[..., Any]:
@@ -44,8 +41,8 @@ def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]
     )
 
 
+# Options of all commands that render scenes.
 RENDERING = all_of(whole_option("--workers", 1, 1, "Number of processes, at low priority."), TEXTURES)
-"""Options of all commands that render scenes."""
 
 
 @click.command()
@@ -68,9 +65,7 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.command()
 @click.argument("dataset", type=FOLDER)
 @click.argument("folder", type=FOLDER)
-@click.option(
-    "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
-)
+@layout_option
 @defaulted("--pairs", "every:1", "Pairs of frames, see omnisyn eval.", metavar="0:4|every:N|FILE")
 @_height_option("view")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
@@ -187,7 +182,7 @@ def _fill(
 @all_of(*MACHINE)
 def recipe(
     recipe: Path, folder: Path, meshes: Path | None, held_out: tuple[str, ...], mesh_scale: tuple[str, ...],
-    encoder: Path | None, minutes: float | None, threads: int, device: str, **options: Any,
+    encoder: Path | None, minutes: float | None, threads: int | None, device: str, **options: Any,
 ) -> None:  # fmt: skip
     """Train a network by RECIPE in FOLDER, stage after stage, or continue the run there.
 
@@ -205,7 +200,7 @@ def recipe(
     train_recipe(plan, folder, meshes=source, encoder=_encoder(encoder), **options)
 
 
-def run_options(folder: Path, minutes: float | None, threads: int, device: str) -> dict[str, Any]:
+def run_options(folder: Path, minutes: float | None, threads: int | None, device: str) -> dict[str, Any]:
     """What every run is told: its end, where it computes, and whom it reports to."""
     import torch
 
@@ -256,4 +251,4 @@ def _encoder(path: Path | None) -> Any:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)  # All of this module
+COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)  # all of this module

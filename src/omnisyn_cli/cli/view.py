@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, json_option, named, quiet_option, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, named, output_options, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -19,11 +18,8 @@ if TYPE_CHECKING:
 
     from omnisyn_cli.interpolation.summary import TourSummary
 
-LINUX_OPENER = "xdg-open"
-"""Finds the browser, or, with many lines of its own, none."""
-
-OPENER_SECONDS = 2.0
-"""After which it has found one: it may go on for as long as the browser does."""
+LINUX_OPENER = "xdg-open"  # finds the browser, or, with many lines of its own, none
+OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long as the browser does
 
 
 @click.command(cls=SectionedCommand)
@@ -33,7 +29,7 @@ OPENER_SECONDS = 2.0
     help="Page (.html), or a folder with --folder.  [default: FOLDER.html or A-C.html, here]",
 )  # fmt: skip
 @click.option(
-    "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096, show_default=True,
+    "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096,
     help="Maximum width of the photographs in the page.",
 )  # fmt: skip
 @click.option("--lossless", is_flag=True, help="Store photographs as PNG, several times as large as JPEG.")
@@ -42,16 +38,11 @@ OPENER_SECONDS = 2.0
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
 @surface_options
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="soft", show_default=True,
+    "--fallback", type=click.Choice(FALLBACKS), default="soft",
     help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded photographs; none: a "
     "warning; fail: exit code 3.",
 )  # fmt: skip
-@click.option(
-    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
-)
-@click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
-@json_option("the summary")
-@quiet_option
+@output_options
 def view(
     *, as_json: bool, dry_run: bool, quiet: bool, texture: int, lossless: bool,
     folder: bool, serve: bool, is_opened: bool, **options: Any,
@@ -71,7 +62,7 @@ def view(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
+    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 
     check_one_cut(options)
     if serve and not folder:
@@ -79,20 +70,15 @@ def view(
     given = named(options, lambda: "-walk" if folder else ".html")
     job = ViewJob(texture=texture, is_lossless=lossless, is_folder=folder, **given)
     summary = run_job(
-        job, plan_view, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet
-    )
+        job, plan_view, lambda: run_view, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run,
+        quiet=quiet,
+    )  # fmt: skip
     if summary is None:
         return
     if serve:
         _serve(job.output, is_opened=is_opened, is_quiet=quiet)
     elif is_opened:
         _open(str((job.output / "index.html" if folder else job.output).absolute()))
-
-
-def _load() -> Callable[..., TourSummary]:
-    from omnisyn_cli.interpolation.viewer.run import run_view
-
-    return run_view
 
 
 def _said(summary: TourSummary) -> str:

@@ -88,10 +88,7 @@ def is_on_disk(compiled: Any) -> bool:
 def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool = True, **options: Any) -> Any:
     """:func:`numba.njit`, but that a place for machine code is a wish: without one, numba would refuse the function.
 
-    Args:
-        function: to be compiled; None makes a decorator.
-        cache: keep the machine code on disk where that is possible.
-        options: of :func:`numba.njit`.
+    It makes a decorator without a function. With ``cache`` the machine code is kept on disk where that is possible.
     """
     if function is None:
         return partial(compiled_kernel, cache=cache, **options)

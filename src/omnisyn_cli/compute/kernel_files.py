@@ -13,17 +13,11 @@ from typing import Any
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-COMPILE_EVENT = "numba:compile"
-"""What numba calls it."""
-
-OTHER_PROCESS = "elsewhere"
-"""Said of what another process compiles, and long enough to be worth a word."""
-
+COMPILE_EVENT = "numba:compile"  # what numba calls it
+OTHER_PROCESS = "elsewhere"  # said of what another process compiles, and long enough to be worth a word
+# Seconds that a process waits for another to compile a kernel: it may be one that somebody has stopped.
 LONGEST_TURN = 60.0
-"""Seconds that a process waits for another to compile a kernel: it may be one that somebody has stopped."""
-
-TURN_POLL_SECONDS = 0.02
-"""How often it looks."""
+TURN_POLL_SECONDS = 0.02  # how often it looks
 
 
 class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 
+# Of the environment: an interpreter with it leaves the current directory out of its search path.
 SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
-"""Of the environment: an interpreter with it leaves the current directory out of its search path."""
 
 
 @contextmanager

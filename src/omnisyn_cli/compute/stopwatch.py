@@ -19,11 +19,7 @@ def while_timing(listen: Callable[[str], None]) -> Iterator[None]:
 
 
 class Stopwatch:
-    """Seconds by stage.
-
-    Args:
-        now: the clock, in seconds; by default that on the wall.
-    """
+    """Seconds by stage, of a clock; by default of that on the wall."""
 
     def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
         self.now = now

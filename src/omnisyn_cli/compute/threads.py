@@ -16,8 +16,7 @@ T = TypeVar("T")
 
 _limit: ContextVar[int | None] = ContextVar("most threads", default=None)
 
-RANGES_PER_THREAD = 4
-"""More ranges than threads, because some rows are more work than others."""
+RANGES_PER_THREAD = 4  # more ranges than threads, because some rows are more work than others
 
 
 def available_threads() -> int:

@@ -6,11 +6,8 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import inlined
 
-ATAN2_ERROR = 4e-7
-"""Largest error of :func:`atan2_fast` in radians, float32 rounding included."""
-
-LOG2_ERROR = 3e-6
-"""Largest error of :func:`log2_fast` for numbers near 1; elsewhere float32 rounding comes on top."""
+ATAN2_ERROR = 4e-7  # largest error of :func:`atan2_fast` in radians, float32 rounding included
+LOG2_ERROR = 3e-6  # largest error of :func:`log2_fast` for numbers near 1; elsewhere float32 rounding comes on top
 
 
 @inlined(fastmath=True)

@@ -24,7 +24,7 @@ from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.interpolation.planning.figures import FIGURES, Figures, Setting
 from omnisyn_cli.io import read_header
-from omnisyn_cli.io.json_lines import append_line, complete_lines
+from omnisyn_cli.io.documents import append_line, complete_lines
 from omnisyn_cli.io.outputs import make_folder, staged_folder
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.scenes import generate_scene, sample_path

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, TypeAdapter
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io.json_lines import append_line, complete_lines
+from omnisyn_cli.io.documents import append_line, complete_lines
 
 RESULTS_NAME = "results.jsonl"
 """A line per finished unit."""
@@ -147,7 +147,7 @@ def json_values(value: Any) -> Any:
 
 
 def append_record(folder: Path, record: UnitRecord) -> None:
-    """Add a line to ``folder/results.jsonl``, see :func:`omnisyn_cli.io.json_lines.append_line`."""
+    """Add a line to ``folder/results.jsonl``, see :func:`omnisyn_cli.io.documents.append_line`."""
     append_line(folder / RESULTS_NAME, record.to_json())
 
 

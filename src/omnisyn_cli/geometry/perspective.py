@@ -16,13 +16,9 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions, pixe
 
 
 class PerspectiveSize(tuple[int, int]):
-    """Height and width of a perspective picture, which looks along −z; it goes wherever sizes of panoramas go.
+    """Height and width of a perspective picture, which looks along −z; it goes wherever sizes of panoramas go."""
 
-    Attributes:
-        focal: pixels that a step of 1 sideways has on the plane at distance 1.
-    """
-
-    focal: float
+    focal: float  # pixels that a step of 1 sideways has on the plane at distance 1
 
     def __new__(cls, height: int, width: int, fov: float) -> PerspectiveSize:
         """Of a picture whose width spans ``fov`` radians."""

@@ -13,24 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-SAME_POSITION_METRES = 1e-6
-"""Panoramas closer than this were taken from one position: no survey is so exact."""
-
-SMALL_ANGLE = 1e-8
-"""Below this (radians) sin(x)/x is 1 in float64, as x²/6 is below its rounding error."""
+SAME_POSITION_METRES = 1e-6  # panoramas closer than this were taken from one position: no survey is so exact
+SMALL_ANGLE = 1e-8  # below this (radians) sin(x)/x is 1 in float64, as x²/6 is below its rounding error
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Camera-to-world transform.
+    """Camera-to-world transform."""
 
-    Attributes:
-        rotation: ``(*batch, 3, 3)`` orthonormal, determinant +1.
-        position: ``(*batch, 3)`` optical centre in the world, metres.
-    """
-
-    rotation: Float[np.ndarray, "*batch 3 3"]
-    position: Float[np.ndarray, "*batch 3"]
+    rotation: Float[np.ndarray, "*batch 3 3"]  # orthonormal, determinant +1
+    position: Float[np.ndarray, "*batch 3"]  # optical centre in the world, metres
 
     @staticmethod
     def identity() -> Pose:

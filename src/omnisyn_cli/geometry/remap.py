@@ -9,11 +9,10 @@ from jaxtyping import Float, Float32, Shaped
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 
+# Pixels added across the seam and the poles: bicubic interpolation reaches for at most two, and one is spare.
 BORDER_PIXELS = 3
-"""Pixels added across the seam and the poles: bicubic interpolation reaches for at most two, and one is spare."""
-
+# Widest image that OpenCV's ``remap`` takes: its indices have 16 bits with a sign.
 MAX_REMAP_COLUMNS = 32766 - 2 * BORDER_PIXELS
-"""Widest image that OpenCV's ``remap`` takes: its indices have 16 bits with a sign."""
 
 
 @dataclass(frozen=True)

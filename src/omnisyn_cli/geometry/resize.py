@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-MIN_USABLE_SHARE = 0.99
-"""Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
+MIN_USABLE_SHARE = 0.99  # share of a resampled pixel that the mask must allow: in effect all of it, but for rounding
 
 
 def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -16,8 +16,7 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-CATMULL_ROM_SLOPE = -0.5
-"""Slope parameter of Keys' cubic convolution that reproduces quadratics."""
+CATMULL_ROM_SLOPE = -0.5  # slope parameter of Keys' cubic convolution that reproduces quadratics
 
 
 def wrap_pixel(row: Array, col: Array, height: int, width: int) -> tuple[Array, Array]:
@@ -92,7 +91,7 @@ def sample_nearest(image: Float[Array, "height width *channels"], direction: Flo
     """The pixel that contains each direction, ``(*batch, *channels)``."""
     xp = array_namespace(image, direction)
     row, col = direction_to_pixel(direction, image.shape[:2])
-    return _fetch(image, _integers(xp, xp.round(row)), _integers(xp, xp.round(col)))
+    return image[wrap_pixel(_integers(xp, xp.round(row)), _integers(xp, xp.round(col)), *image.shape[:2])]
 
 
 def sample_bilinear(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
@@ -176,12 +175,6 @@ def _convolve(image: Array, row: Array, col: Array, *, reach: tuple[int, int], k
             )
             total = total + texel * xp.reshape(weight * col_weight, weight.shape + (1,) * len(channels))
     return total
-
-
-def _fetch(image: Array, row: Array, col: Array) -> Array:
-    height, width = image.shape[:2]
-    row, col = wrap_pixel(row, col, height, width)
-    return image[row, col]
 
 
 def _integers(xp: Any, value: Array) -> Array:

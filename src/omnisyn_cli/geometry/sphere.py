@@ -22,14 +22,10 @@ from jaxtyping import Float
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-FORWARD = np.array([0.0, 0.0, -1.0])
-"""Where the centre of an unturned panorama looks."""
-
-UP = np.array([0.0, 1.0, 0.0])
-"""Where its zenith is, and that of the world."""
-
+FORWARD = np.array([0.0, 0.0, -1.0])  # where the centre of an unturned panorama looks
+UP = np.array([0.0, 1.0, 0.0])  # where its zenith is, and that of the world
+# Polar distance α within which :func:`linearised_arccos` is a straight line (paper, section 3.5.2).
 LINEARISED_CAP = math.radians(10.0)
-"""Polar distance α within which :func:`linearised_arccos` is a straight line (paper, section 3.5.2)."""
 
 
 def pixel_to_angles(row: Array, col: Array, size: tuple[int, int]) -> tuple[Array, Array]:

@@ -9,9 +9,9 @@ from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob, TourJob, depth_files, reading_of, targets
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.depth_files import check_depth_header
+from omnisyn_cli.io.encode import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.io.images import check_mask_size, sphere_size
 from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder, real_path
-from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.poses.file import PosedPanorama

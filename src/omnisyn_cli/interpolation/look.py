@@ -10,7 +10,7 @@ import numpy as np
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
-from omnisyn_cli.io.keyframes import read_keyframes
+from omnisyn_cli.io.documents import read_keyframes
 from omnisyn_cli.synthesis.trajectory import Waypoint
 
 LOOK_AHEAD, LOOK_FIRST = "ahead", "first"

@@ -24,9 +24,9 @@ from omnisyn_cli.interpolation.summary import Summary, refuse_doubtful
 from omnisyn_cli.interpolation.viewer.contents import TourPacker
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.io import FrameSink, open_video, read_panorama, write_depth
-from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
+from omnisyn_cli.io.video import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.poses.floor import height_in_depth
 from omnisyn_cli.render.eyes import top_bottom

@@ -9,23 +9,7 @@ from omnisyn_cli.io.spherical import inject_spherical, read_spherical
 from omnisyn_cli.io.video import FrameSink, check_encoding, check_video, open_video, sample_type
 
 __all__ = [
-    "MAX_PIXELS",
-    "FrameSink",
-    "Panorama",
-    "check_encoding",
-    "check_output",
-    "check_video",
-    "inject_spherical",
-    "list_photographs",
-    "open_video",
-    "read_depth",
-    "read_header",
-    "read_inverse_depth",
-    "read_mask",
-    "read_panorama",
-    "read_photographs",
-    "read_spherical",
-    "sample_type",
-    "write_depth",
-    "write_image",
-]
+    "MAX_PIXELS", "FrameSink", "Panorama", "check_encoding", "check_output", "check_video", "inject_spherical",
+    "list_photographs", "open_video", "read_depth", "read_header", "read_inverse_depth", "read_mask", "read_panorama",
+    "read_photographs", "read_spherical", "sample_type", "write_depth", "write_image",
+]  # fmt: skip

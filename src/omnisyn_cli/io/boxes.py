@@ -16,24 +16,13 @@ from typing import BinaryIO
 
 from omnisyn_cli.errors import InputError
 
-MAX_MOVIE_BYTES = 256 << 20
-"""Bytes of ``moov`` that are read into memory; hours of video need a few of these megabytes."""
-
-MAX_BOXES = 100_000
-"""Boxes side by side; no real video has so many."""
-
+MAX_MOVIE_BYTES = 256 << 20  # bytes of ``moov`` that are read into memory; hours of video need a few of these megabytes
+MAX_BOXES = 100_000  # boxes side by side; no real video has so many
+# By box the child that is opened: the path to the sample entries, which bounds the depth of the recursion.
 OPENED_CHILD = {b"moov": b"trak", b"trak": b"mdia", b"mdia": b"minf", b"minf": b"stbl", b"stbl": b"stsd"}
-"""By box the child that is opened: the path to the sample entries, which bounds the depth of the recursion."""
-
-SAMPLE_DESCRIPTION_BYTES = 8
-"""``stsd``: version, flags and entry count before its entries."""
-
-VISUAL_SAMPLE_ENTRY_BYTES = 78
-"""Fixed fields of a video sample entry before its boxes."""
-
-
-OFFSET_LETTERS = {b"stco": "I", b"co64": "Q"}
-"""Tables of chunk offsets, and how :mod:`struct` names their numbers."""
+SAMPLE_DESCRIPTION_BYTES = 8  # ``stsd``: version, flags and entry count before its entries
+VISUAL_SAMPLE_ENTRY_BYTES = 78  # fixed fields of a video sample entry before its boxes
+OFFSET_LETTERS = {b"stco": "I", b"co64": "Q"}  # tables of chunk offsets, and how :mod:`struct` names their numbers
 
 
 @dataclass(frozen=True)

@@ -13,31 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Shaped
 
+# Linear sRGB of XYZ under D50, the profile connection space (Lindbloom, Bradford-adapted).
 SRGB_FROM_PCS = np.array(
     [[3.1338561, -1.6168667, -0.4906146], [-0.9787684, 1.9161415, 0.0334540], [0.0719453, -0.2289914, 1.4052427]]
 )
-"""Linear sRGB of XYZ under D50, the profile connection space (Lindbloom, Bradford-adapted)."""
-
-MAX_TAGS = 1000
-"""A profile has a dozen tags."""
-
-MIN_COLOUR_CHANGE = 1.0 / 255.0
-"""Of any of the tried colours, below which a profile is sRGB by another name."""
-
-MAX_WHITE_ERROR = 0.05
-"""Of linear light: a profile whose white is farther from sRGB's is broken, or of no display."""
-
+MAX_TAGS = 1000  # a profile has a dozen tags
+MIN_COLOUR_CHANGE = 1.0 / 255.0  # of any of the tried colours, below which a profile is sRGB by another name
+MAX_WHITE_ERROR = 0.05  # of linear light: a profile whose white is farther from sRGB's is broken, or of no display
+# Levels at which sRGB's curve is tabulated, by square roots: neighbours differ by two levels of 16 bits at most.
 CURVE_STEPS = 1 << 16
-"""Levels at which sRGB's curve is tabulated, by square roots: neighbours differ by two levels of 16 bits at most."""
-
-BAND_ROWS = 64
-"""Rows that are converted together, so that little memory is needed."""
-
+BAND_ROWS = 64  # rows that are converted together, so that little memory is needed
+# Linear light from which the view transform rolls off, so that windows and lamps keep their shape. Set by hand.
 SHOULDER_START = 0.6
-"""Linear light from which the view transform rolls off, so that windows and lamps keep their shape. Set by hand."""
-
-PARAMETRIC_COUNTS = (1, 3, 4, 5, 7)
-"""Parameters by the kind of a parametric curve."""
+PARAMETRIC_COUNTS = (1, 3, 4, 5, 7)  # parameters by the kind of a parametric curve
 
 Curve = Callable[[np.ndarray], np.ndarray]
 

@@ -23,51 +23,27 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.colour import ColourProfile, parse_profile
 from omnisyn_cli.io.heif import AVIF_SUFFIX, HEIC_SUFFIXES, damaged, png_of
 
+# Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack.
 MAX_PIXELS = 2 * 16384 * 8192
-"""Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
-
-MAX_SAMPLES_PER_PIXEL = 4
-"""An image of many layers may have this many times ``max_pixels`` samples altogether."""
-
-MAX_COMPLAINT_CHARS = 500
-"""Characters of what a decoder says that are passed on."""
-
-BELOW_ZERO_ALTITUDE_REFS = (1, 3)
-"""Values of EXIF's GPSAltitudeRef that mean below sea level and below the ellipsoid."""
-
-LINEAR_FORMATS = ("openexr", "hdr")
-"""Formats, by OpenImageIO's names, whose values are linear light."""
-
-SHOWN_ATTRIBUTE = "omnisyn:displayReferred"
-"""Of EXR files whose samples are sRGB, as this program writes frames."""
-
+MAX_SAMPLES_PER_PIXEL = 4  # an image of many layers may have this many times ``max_pixels`` samples altogether
+MAX_COMPLAINT_CHARS = 500  # characters of what a decoder says that are passed on
+BELOW_ZERO_ALTITUDE_REFS = (1, 3)  # values of EXIF's GPSAltitudeRef that mean below sea level and below the ellipsoid
+LINEAR_FORMATS = ("openexr", "hdr")  # formats, by OpenImageIO's names, whose values are linear light
+SHOWN_ATTRIBUTE = "omnisyn:displayReferred"  # of EXR files whose samples are sRGB, as this program writes frames
+# What decoders say about files that are complete nevertheless.
 HARMLESS_COMPLAINTS = ("extraneous bytes before marker",)
-"""What decoders say about files that are complete nevertheless."""
-
-TIFF_RGB = 2
-"""Value of the tag PhotometricInterpretation, TIFF 6.0."""
-
+TIFF_RGB = 2  # value of the tag PhotometricInterpretation, TIFF 6.0
+# Photometric interpretations that OpenImageIO turns into RGB or grey: inverted grey, grey, RGB, palette, CMYK, YCbCr.
+# Others, such as CIELAB (8), it hands out as if they were RGB. Source: TIFF 6.0, section 8.
 TIFF_COLOURS = (0, 1, TIFF_RGB, 3, 5, 6)
-"""Photometric interpretations that OpenImageIO turns into RGB or grey: inverted grey, grey, RGB, palette, CMYK, YCbCr.
-Others, such as CIELAB (8), it hands out as if they were RGB. Source: TIFF 6.0, section 8."""
-
+# Formats whose pictures can be turned to and back; of a WebP there is no way back, but it says what it is.
 FORMATS_OF_MANY_PICTURES = ("gif", "tiff", "openexr")
-"""Formats whose pictures can be turned to and back; of a WebP there is no way back, but it says what it is."""
-
-MAX_RIFF_CHUNKS = 10_000
-"""A picture has a dozen chunks; a file with more is hostile."""
-
-MAX_XMP_BYTES = 4 << 20
-"""Bytes of XMP that are read; cameras and stitchers write some kilobytes."""
-
+MAX_RIFF_CHUNKS = 10_000  # a picture has a dozen chunks; a file with more is hostile
+MAX_XMP_BYTES = 4 << 20  # bytes of XMP that are read; cameras and stitchers write some kilobytes
+# XMP may write a property as an attribute.
 GPANO_ATTRIBUTE = re.compile(r"\s(GPano:\w+)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
-"""XMP may write a property as an attribute."""
-
-GPANO_ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")
-"""It may write it as an element, too."""
-
-XMP_BOOLEANS = {"true": 1, "false": 0}
-"""XMP's booleans as the integers that OpenImageIO gives for other formats."""
+GPANO_ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")  # it may write it as an element, too
+XMP_BOOLEANS = {"true": 1, "false": 0}  # XMP's booleans as the integers that OpenImageIO gives for other formats
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,10 @@ from omnisyn_cli.io.images import channel_of, upright
 from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 from omnisyn_cli.io.placement import placement_of
 
-DEPTH_CHANNEL = "Z"
-"""The name that OpenEXR has for depth."""
-
-MIN_DEPTH = 1e-6
-"""Metres; smaller depths become this, so that inverse depths stay finite."""
-
-MAX_DEPTH = 1e9
-"""Metres; renderers write such numbers (Blender: 1e10) where their rays hit nothing."""
-
-METRES_PER_PNG_UNIT = np.float32(1e-3)
-"""16-bit PNGs hold millimetres."""
+DEPTH_CHANNEL = "Z"  # the name that OpenEXR has for depth
+MIN_DEPTH = 1e-6  # metres; smaller depths become this, so that inverse depths stay finite
+MAX_DEPTH = 1e9  # metres; renderers write such numbers (Blender: 1e10) where their rays hit nothing
+METRES_PER_PNG_UNIT = np.float32(1e-3)  # 16-bit PNGs hold millimetres
 
 
 def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.ndarray, "height width"]:
@@ -58,10 +51,8 @@ def read_inverse_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Flo
 def write_depth(path: Path | str, depth: Float[np.ndarray, "height width"]) -> None:
     """Write depth in metres as EXR with one float channel ``Z``; infinity is kept, an existing file is replaced.
 
-    Raises:
-        OutputPathError: the name does not end in .exr, or there is no folder to write into.
-        WriteError: the disk is full, or the folder went away.
-        ValueError: the array is not two-dimensional, or holds NaN or negative numbers.
+    OutputPathError: the name does not end in .exr, or there is no folder to write into. WriteError: the disk is full,
+    or the folder went away. ValueError: the array is not two-dimensional, or holds NaN or negative numbers.
     """
     target = Path(path)
     if target.suffix.lower() != ".exr":

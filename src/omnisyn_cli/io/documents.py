@@ -1,4 +1,7 @@
-"""Text and JSON files that users and other programs write, read whole, and what is wrong with them said in one line."""
+"""Text and JSON files that users and other programs write, read whole, and what is wrong with them said in one line.
+
+Files of one JSON object in each line are those of runs that may be killed at any moment, and go on with them.
+"""
 
 import difflib
 import json
@@ -7,28 +10,23 @@ import re
 import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Never, TypeVar
+from typing import Annotated, Any, BinaryIO, Never, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.io.outputs import write_errors
 
 Model = TypeVar("Model", bound=BaseModel)
 
-MAX_DOCUMENT_BYTES = 1 << 30
-"""A gigabyte: reconstructions carry their point clouds along."""
-
-MAX_SHOWN_CHARS = 60
-"""Of a value that a message quotes."""
-
-MAX_LISTED_KEYS = 20
-"""Keys of a model that a message names when another came."""
-
+MAX_DOCUMENT_BYTES = 1 << 30  # a gigabyte: reconstructions carry their point clouds along
+MAX_SHOWN_CHARS = 60  # of a value that a message quotes
+MAX_LISTED_KEYS = 20  # keys of a model that a message names when another came
+# Parts of pydantic's messages that do not say what was expected.
 PYDANTIC_PHRASES = (
     r"^(Input|List|Dictionary|String) should (be|have) | after validation, .*|, unable to .*"
     r"|, got a number with a fractional part"
 )
-"""Parts of pydantic's messages that do not say what was expected."""
 
 
 class ForeignModel(BaseModel):
@@ -172,3 +170,62 @@ def listed(names: Iterable[str], most: int = 5) -> str:
 def _shown(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= MAX_SHOWN_CHARS else f"{text[:MAX_SHOWN_CHARS]}…"
+
+
+def append_line(path: Path, value: Any) -> None:
+    """Add a line that has reached the disk when this returns; what a killed run left of one is removed first.
+
+    ValueError: a number is infinite or undefined. WriteError: the disk is full, or the folder went away.
+    """
+    line = json.dumps(value, ensure_ascii=False, allow_nan=False) + "\n"
+    with write_errors(path), path.open("a+b") as file:
+        _drop_unfinished_line(file)
+        file.write(line.encode("utf-8", "backslashreplace"))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def complete_lines(path: Path) -> list[str]:
+    """All lines but what a killed run left of one; none where there is no such file.
+
+    InputError: the file cannot be read.
+    """
+    if not path.exists():
+        return []
+    try:
+        complete, _, _ = path.read_bytes().rpartition(b"\n")  # what was cut short may end inside a character
+        return complete.decode("utf-8").split("\n") if complete else []
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
+
+
+def _drop_unfinished_line(file: BinaryIO) -> None:
+    end = file.seek(0, os.SEEK_END)
+    if end == 0:
+        return
+    file.seek(end - 1)
+    if file.read(1) != b"\n":
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.seek(0, os.SEEK_END)
+
+
+class Keyframe(ForeignModel):
+    """Where the picture looks at a share of the video; degrees from the first panorama's centre, level."""
+
+    at: Annotated[float, Field(ge=0, le=1)]
+    yaw: Annotated[float, Field(ge=-3600, le=3600)]
+    pitch: Annotated[float, Field(ge=-90, le=90)] = 0.0
+
+
+class Keyframes(ForeignModel):
+    """The file: a list of them, which may stand under one key."""
+
+    keyframes: Annotated[list[Keyframe], Field(min_length=1)]
+
+
+def read_keyframes(path: Path) -> list[Keyframe]:
+    """The keyframes of a file, in the order of time; PoseError: missing, malformed or empty."""
+    document = read_json(path, "keyframes")
+    known = validated(path, Keyframes, {"keyframes": document} if isinstance(document, list) else document)
+    return sorted(known.keyframes, key=lambda key: key.at)

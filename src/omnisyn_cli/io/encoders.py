@@ -13,21 +13,17 @@ import ffmpeg
 import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
-from omnisyn_cli.io.sequence import is_ambiguous
+from omnisyn_cli.io.encode import is_ambiguous
 
 X26X_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
 )  # fmt: skip
 
-PRORES_PROFILES = ("proxy", "lt", "standard", "hq")
-"""In the order of FFmpeg's numbers, from 0."""
-
+PRORES_PROFILES = ("proxy", "lt", "standard", "hq")  # in the order of FFmpeg's numbers, from 0
+# What most encoders work on; for it frames are converted here (:mod:`.yuv`) and not by ffmpeg.
 PLANAR_FORMAT = "yuv420p"
-"""What most encoders work on; for it frames are converted here (:mod:`.yuv`) and not by ffmpeg."""
-
-
+# ffmpeg's names of the frames that are handed to it, where it converts them.
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
-"""ffmpeg's names of the frames that are handed to it, where it converts them."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +43,7 @@ class VideoCodec:
     tag: str | None = None  # the sample entry's name where ffmpeg's own choice is not played everywhere
 
 
+# By the name that users choose.
 CODECS: Mapping[str, VideoCodec] = {
     "h264": VideoCodec(("libx264",), 17, 2048, preset="veryfast", pixel_formats={"uint8": PLANAR_FORMAT}),
     "h265": VideoCodec(("libx265",), 20, 4096, tag="hvc1"),
@@ -57,19 +54,13 @@ CODECS: Mapping[str, VideoCodec] = {
         ("prores_ks",), None, None, 0, "hq", PRORES_PROFILES, (".mov",), dict.fromkeys(RAW_FORMATS, "yuv422p10le")
     ),
 }
-"""By the name that users choose."""
-
+# Containers by the name's ending; left alone, ffmpeg makes of .m4v an iPod's, without H.265 and without colours.
 MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov"}
-"""Containers by the name's ending; left alone, ffmpeg makes of .m4v an iPod's, without H.265 and without colours."""
-
+# Frame rates of television, which are written rounded to two or three decimals.
 NTSC_RATES = tuple(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120))
-"""Frame rates of television, which are written rounded to two or three decimals."""
-
+# Removes x264's SEI message with its settings (and threads) from the video: equal pictures are equal files.
 STRIP_SEI_FILTER = "filter_units=remove_types=6"
-"""Removes x264's SEI message with its settings (and threads) from the video: equal pictures are equal files."""
-
-SLOWEST_AOM_SPEED = 8
-"""libaom's speeds end here; SVT-AV1's go on to 13."""
+SLOWEST_AOM_SPEED = 8  # libaom's speeds end here; SVT-AV1's go on to 13.
 
 
 @dataclass(frozen=True)
@@ -88,9 +79,8 @@ class EncoderSettings:
 def check_settings(path: Path, settings: EncoderSettings) -> None:
     """Refuse what no encoder would take, before any work.
 
-    Raises:
-        OutputPathError: the name's ending does not go with the codec.
-        InputError: odd or empty size, a frame rate, quality, preset or sample type out of range, unknown codec.
+    OutputPathError: the name's ending does not go with the codec. InputError: odd or empty size, unknown codec, a frame
+    rate, quality, preset or sample type out of range.
     """
     if settings.codec not in CODECS:
         raise InputError(f"expected a codec among {', '.join(CODECS)}, got '{settings.codec}'; choose one of them")

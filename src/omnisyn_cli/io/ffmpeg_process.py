@@ -3,36 +3,30 @@
 import os
 import signal
 import subprocess
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Self
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
-from omnisyn_cli.errors import EncodingError, WriteError
+from omnisyn_cli.errors import EncodingError, InputError, WriteError
+from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
 
-MAX_STDERR_LINES = 12
-"""The last lines of ffmpeg that an error message quotes."""
-
-KILL_TIMEOUT_SECONDS = 10
-"""That ffmpeg has to end once its input is closed or it has failed."""
-
+MAX_STDERR_LINES = 12  # the last lines of ffmpeg that an error message quotes
+KILL_TIMEOUT_SECONDS = 10  # that ffmpeg has to end once its input is closed or it has failed
+# Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes.
 PIPE_BYTES = 1 << 20
-"""Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes."""
-
+# What FFmpeg says where it cannot write.
 FULL_DISK_MESSAGES = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
-"""What FFmpeg says where it cannot write."""
-
-FILE_SIZE_SIGNAL = "SIGXFSZ"
-"""The signal that ends a process whose file grows beyond the user's limit."""
-
+FILE_SIZE_SIGNAL = "SIGXFSZ"  # the signal that ends a process whose file grows beyond the user's limit
+# Lines that encoders print whatever the level of logging is.
 ENCODER_CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
-"""Lines that encoders print whatever the level of logging is."""
 
 
 Packing = Callable[[np.ndarray], np.ndarray]
@@ -43,12 +37,8 @@ class EncoderProcess:
 
     As a context manager it is finished on a regular exit and killed on any exception, KeyboardInterrupt included.
 
-    Args:
-        command: reads raw frames from standard input.
-        target: what error messages call the output.
-        shape: of a frame, ``(height, width, 3)``.
-        dtype: of a frame, ``uint8`` or ``uint16``.
-        packed: makes of a contiguous frame what the command reads; by default it reads the frame as it is.
+    The command reads raw frames of ``shape`` (height, width, 3) and ``uint8`` or ``uint16`` from standard input, as
+    they are or as ``packed`` makes them of contiguous ones. Error messages call the output ``target``.
     """
 
     def __init__(
@@ -177,3 +167,32 @@ def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8
         words = " | ".join(done.stderr.decode("utf-8", "replace").split("\n")[:3])
         raise EncodingError(f"{path}: expected a video that ffmpeg can read, got '{words}'; make it again")
     yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)
+
+
+# Files that frames are taken from.
+VIDEO_SUFFIXES = frozenset({".360", ".avi", ".insv", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
+
+
+@contextmanager
+def frames_of_video(path: Path, seconds: float) -> Iterator[tuple[Path, ...]]:
+    """Frames at 0, ``seconds``, 2 · ``seconds`` …, as PNG files in the order of time.
+
+    Colours are taken for BT.709, as cameras for 360° write them. InputError: no video, or fewer than two frames.
+    """
+    check_is_file(path)
+    with tempfile.TemporaryDirectory(prefix="omnisyn-frames-") as folder:
+        choice = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t,{seconds:.6f}-0.5/30)'"
+        command = [
+            ffmpeg_program(), "-hide_banner", "-loglevel", "error", "-nostdin", "-protocol_whitelist", "file",
+            "-i", f"file:{path.absolute()}", "-map", "0:v:0", "-fps_mode", "passthrough",
+            "-vf", f"{choice},scale=in_color_matrix=bt709:flags=bicubic+accurate_rnd+full_chroma_int,format=rgb24",
+            "-compression_level", "1", str(Path(folder) / "frame%05d.png"),
+        ]  # fmt: skip
+        finished = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
+        frames = tuple(sorted(Path(folder).glob("*.png")))
+        if finished.returncode != 0 or not frames:
+            lines = finished.stderr.decode("utf-8", "replace").strip().splitlines() or ["no frames"]
+            raise InputError(f"{path}: expected a video, got '{lines[-1]:.200}'; export it as MP4")
+        if len(frames) < 2:
+            raise InputError(f"{path}: expected a video of more than {seconds:g} s, got one frame; take them closer")
+        yield frames

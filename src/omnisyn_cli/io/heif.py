@@ -12,14 +12,9 @@ from typing import Any
 
 from omnisyn_cli.errors import ImageError
 
-HEIC_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
-"""HEIF with HEVC pictures, which a plugin reads."""
-
-AVIF_SUFFIX = ".avif"
-"""HEIF with AV1 pictures."""
-
-EXTRA = "pip install 'omnisyn-cli[heic]'"
-"""How to install the plugin."""
+HEIC_SUFFIXES = frozenset({".heic", ".heif", ".hif"})  # HEIF with HEVC pictures, which a plugin reads
+AVIF_SUFFIX = ".avif"  # HEIF with AV1 pictures
+EXTRA = "pip install 'omnisyn-cli[heic]'"  # how to install the plugin
 
 
 @contextmanager

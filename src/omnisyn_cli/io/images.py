@@ -14,33 +14,19 @@ from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
 
-INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
-"""Samples of white, by their type."""
-
-FLOAT_TYPES = frozenset({"float16", "float32", "float64"})
-"""Types of decoded pictures that are taken as they are."""
-
-MIN_PANORAMA_HEIGHT = 2
-"""Rows of the smallest panorama that a surface can be made of."""
-
-MIN_USABLE_ALPHA = 0.5
-"""Pixels that are less opaque than this are not usable."""
-
-LAYOUT_ROWS = 128
-"""Rows that are looked at to tell what a picture of unusual shape shows."""
-
-MIN_FRAME_WIDTH = 128
-"""Pixels of the narrowest video frame: a pixel more or less of its height is no other shape."""
-
+INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}  # samples of white, by their type
+FLOAT_TYPES = frozenset({"float16", "float32", "float64"})  # types of decoded pictures that are taken as they are
+MIN_PANORAMA_HEIGHT = 2  # rows of the smallest panorama that a surface can be made of
+MIN_USABLE_ALPHA = 0.5  # pixels that are less opaque than this are not usable
+LAYOUT_ROWS = 128  # rows that are looked at to tell what a picture of unusual shape shows
+MIN_FRAME_WIDTH = 128  # pixels of the narrowest video frame: a pixel more or less of its height is no other shape
+# Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand.
 MIN_STEREO_CORRELATION = 0.7
-"""Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand."""
-
+# Of what columns 1/64 of the width apart differ by, that the first and the last column do; spheres have a third of it
+# at the most, other pictures at least twice as much.
 MAX_SEAM_STEP = 0.75
-"""Of what columns 1/64 of the width apart differ by, that the first and the last column do; spheres have a third of it
-at the most, other pictures at least twice as much."""
-
+# Of the contrast of a sphere's rows that its first or its last row has, which show one point. Set by hand.
 MAX_POLE_SHARE = 0.5
-"""Of the contrast of a sphere's rows that its first or its last row has, which show one point. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -65,15 +51,10 @@ def read_panorama(
     its place in the full sphere and the rest is masked; grey becomes RGB; alpha becomes the mask; colours of an ICC
     profile become sRGB. Squeezed frames of 16:9 are stretched to 2:1.
 
-    Args:
-        path: JPEG, PNG, TIFF, EXR, HDR, WebP, JPEG XL, HEIC or AVIF.
-        allow_aspect: resample images that are not 2:1, as if their pixels were not square.
-        max_pixels: refuse larger images before decoding them.
-        reading: what the file does not say, and the size to which it is reduced.
-
-    Raises:
-        ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or
-            infinite samples.
+    JPEG, PNG, TIFF, EXR, HDR, WebP, JPEG XL, HEIC and AVIF are read. With ``allow_aspect`` images that are not 2:1 are
+    resampled, as if their pixels were not square. Larger images than ``max_pixels`` are refused before decoding.
+    ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or infinite
+    samples.
     """
     header, samples = decode_image(path, max_pixels=max_pixels)
     size = sphere_size(header, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
@@ -192,11 +173,7 @@ def usable_part(
 
     ``own`` is the mask that came with the picture of ``size`` (height, width), its alpha channel. Images of ``masks``
     are black where it must not be used and read as :func:`read_mask` does; nor may what lies within ``nadir`` radians
-    around straight down.
-
-    Raises:
-        ImageError: a mask cannot be read.
-        InputError: it has another size, or forbids everything.
+    around straight down. ImageError: a mask cannot be read. InputError: it has another size, or forbids everything.
     """
     parts = [] if own is None else [own]
     for path in (path for path in masks if path is not None):
@@ -313,14 +290,10 @@ def _resized(samples: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(cv2.resize(samples, size[::-1], interpolation=cv2.INTER_AREA))
 
 
+# Files that count as photographs of surfaces.
 PHOTOGRAPH_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
-"""Files that count as photographs of surfaces."""
-
-MAX_PHOTOGRAPH_SIDE = 768
-"""Pixels of the longer side that are kept: two megabytes a photograph, with its mip levels."""
-
-MAX_PHOTOGRAPHS = 2000
-"""Photographs in a folder: four gigabytes at most, much less where they are small."""
+MAX_PHOTOGRAPH_SIDE = 768  # pixels of the longer side that are kept: two megabytes a photograph, with its mip levels
+MAX_PHOTOGRAPHS = 2000  # photographs in a folder: four gigabytes at most, much less where they are small
 
 
 def list_photographs(folder: Path) -> list[Path]:
@@ -342,9 +315,7 @@ def list_photographs(folder: Path) -> list[Path]:
 def read_photographs(folder: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
     """All photographs of a folder, upright, sRGB, at most :data:`MAX_PHOTOGRAPH_SIDE` pixels long; alpha is ignored.
 
-    Raises:
-        InputError: as :func:`list_photographs`.
-        ImageError: one of them cannot be read; the message names it.
+    InputError: as :func:`list_photographs`. ImageError: one of them cannot be read; the message names it.
     """
     return [read_picture(path, MAX_PHOTOGRAPH_SIDE) for path in list_photographs(folder)]
 

@@ -10,49 +10,28 @@ from xml.parsers.expat import ExpatError
 
 from omnisyn_cli.errors import ImageError
 
-XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"
-"""With which the segment of the packet begins."""
-
-EXIF_HEADER = b"Exif\0\0"
-"""With which the segment of EXIF begins."""
-
-RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
-"""Namespace of RDF, which XMP is written in."""
-
-XMLNS = "http://www.w3.org/2000/xmlns/"
-"""Namespace of declarations of namespaces."""
-
+XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"  # with which the segment of the packet begins
+EXIF_HEADER = b"Exif\0\0"  # with which the segment of EXIF begins
+RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"  # namespace of RDF, which XMP is written in
+XMLNS = "http://www.w3.org/2000/xmlns/"  # namespace of declarations of namespaces
+# A packet without properties.
 NEW_PACKET = (
     b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="' + RDF.encode() + b'">'
     b'<rdf:Description rdf:about=""/></rdf:RDF></x:xmpmeta>'
 )
-"""A packet without properties."""
-
+# The header of a packet; the id is the same in all, see part 1.
 PACKET_BEGIN = b'<?xpacket begin="\xef\xbb\xbf" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
-"""The header of a packet; the id is the same in all, see part 1."""
-
-PACKET_END = b'<?xpacket end="w"?>'
-"""The trailer; the packet may be changed in place."""
-
-START_OF_IMAGE, APP0, APP1, START_OF_SCAN = 0xD8, 0xE0, 0xE1, 0xDA
-"""Second bytes of markers, after 0xFF."""
-
-MAX_SEGMENT_BYTES = 65533
-"""Of the content of a segment: its length is a number of 16 bits and counts itself."""
+PACKET_END = b'<?xpacket end="w"?>'  # the trailer; the packet may be changed in place
+START_OF_IMAGE, APP0, APP1, START_OF_SCAN = 0xD8, 0xE0, 0xE1, 0xDA  # second bytes of markers, after 0xFF
+MAX_SEGMENT_BYTES = 65533  # of the content of a segment: its length is a number of 16 bits and counts itself
 
 
 def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
-    """A JPEG with some XMP properties; everything else of it stays as it is, to the byte.
+    """A JPEG of these bytes with some XMP properties; everything else of it stays as it is, to the byte.
 
     Other properties of its packet stay too. A new packet takes the place of the old one, and its length if it fits.
-
-    Args:
-        path: of the file, for errors.
-        data: its bytes.
-        namespace: prefix and address of the properties.
-        values: texts by the names of the properties.
-
-    Raises ImageError: no JPEG, a damaged packet, or one that grows too large.
+    ``namespace`` is prefix and address of the properties; errors speak of ``path``.
+    ImageError: no JPEG, a damaged packet, or one that grows too large.
     """
     exif, packets = 2, []
     for marker, begin, end in _segments(path, data):

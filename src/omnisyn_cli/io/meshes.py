@@ -1,14 +1,17 @@
-"""Textured meshes from files: glTF, OBJ and PLY through trimesh, and a plain archive of arrays.
+"""Textured meshes from files: glTF, OBJ and PLY through trimesh, and an archive of arrays; clouds of points as PLY.
 
 The archive is a ``.npz`` with ``verts`` (V, 3) in metres, z up; ``faces`` (F, 3); ``uv`` (V, 2), (0, 0) in the lower
 left corner; ``mat`` (F,), index into ``materials``, JSON text of a list of objects with ``name``, ``tex`` and
 ``alpha`` (file names or null), ``color`` (sRGB in [0, 1]), ``lm`` (lit by ``lightmap.jpg`` beside it) and ``emit``
 (shines by itself); ``uvl`` (V, 2), coordinates of the light map, where ``has_lm``. Textures lie beside the archive or
 in ``scene_textures`` two folders up.
+
+Source of PLY: Turk, The PLY Polygon File Format, 1994.
 """
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -17,27 +20,15 @@ import numpy as np
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
+from omnisyn_cli.io.outputs import write_parts
 
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
-"""Formats that trimesh reads with their textures."""
-
-ARCHIVE = "scene.npz"
-"""A mesh as arrays in numpy's format."""
-
-MAX_FACES = 20_000_000
-"""Of a mesh that is read. Set by hand."""
-
-MIN_AREA = 1e-10
-"""Square metres; smaller faces are dropped."""
-
-LARGEST_EXTENT = 5000.0
-"""Metres; larger meshes are in other units."""
-
-SMALLEST_EXTENT = 0.5
-"""Metres; smaller meshes are in other units."""
-
-LIGHT_MAP_GAIN = 2.0
-"""Light where the light map is white."""
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")  # formats that trimesh reads with their textures
+ARCHIVE = "scene.npz"  # a mesh as arrays in numpy's format
+MAX_FACES = 20_000_000  # of a mesh that is read. Set by hand.
+MIN_AREA = 1e-10  # square metres; smaller faces are dropped
+LARGEST_EXTENT = 5000.0  # metres; larger meshes are in other units
+SMALLEST_EXTENT = 0.5  # metres; smaller meshes are in other units
+LIGHT_MAP_GAIN = 2.0  # light where the light map is white
 
 
 def list_meshes(folder: Path) -> list[Path]:
@@ -49,13 +40,9 @@ def list_meshes(folder: Path) -> list[Path]:
 
 
 def read_mesh(path: Path, scale: float = 1.0, *, z_up: bool = False) -> TexturedMesh:
-    """The mesh of a file, y up.
+    """The mesh of a glTF, OBJ, PLY or an archive (see the module) with ``scale`` metres per unit, y up.
 
-    Args:
-        path: glTF, OBJ, PLY or an archive, see the module.
-        scale: metres per unit of the file.
-        z_up: whether the file's z is up; archives say so themselves.
-
+    ``z_up`` says that the file's z is up; archives say so themselves.
     InputError: it cannot be read, has no faces, or is of an extent that no room or street has.
     """
     if not path.is_file():
@@ -233,3 +220,20 @@ def _joined(parts: list[Any], z_up: bool) -> TexturedMesh:
         materials=tuple(part[3] for part in parts),
         vertex_colours=colours,
     )
+
+
+TYPES = {"<f4": "float", "|u1": "uchar"}  # PLY's names of numpy's types
+
+
+def write_ply(path: Path, vertices: np.ndarray, comments: Sequence[str] = ()) -> None:
+    """Write records (fields ``<f4`` and ``u1``) as the vertices of a PLY file; an existing file is replaced.
+
+    WriteError: the disk is full, or the folder went away.
+    """
+    names = vertices.dtype.names or ()
+    properties = [f"property {TYPES[vertices.dtype[name].str]} {name}" for name in names]
+    head = [
+        "ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments),
+        f"element vertex {len(vertices)}", *properties, "end_header", "",
+    ]  # fmt: skip
+    write_parts(path, ("\n".join(head).encode("ascii"), vertices.tobytes()))

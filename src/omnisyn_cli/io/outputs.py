@@ -1,4 +1,4 @@
-"""Where files go: checks before any work begins, and writing that is seen whole or not at all."""
+"""Where files go: checks before any work begins, locks while it goes on, writing that is seen whole or not at all."""
 
 import hashlib
 import os
@@ -6,20 +6,19 @@ import platform
 import re
 import secrets
 import shutil
+import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from omnisyn_cli.errors import OutputPathError, WriteError
 
-TEMPORARY_PREFIX = ".omnisyn-"
-"""Of names that are not final yet."""
-
+TEMPORARY_PREFIX = ".omnisyn-"  # of names that are not final yet
+# The machine, the process, and chance.
 TEMPORARY_NAME = re.compile(re.escape(TEMPORARY_PREFIX) + r"([0-9a-f]{6})-(\d+)-[0-9a-f]{8}(\.\w+)?")
-"""The machine, the process, and chance."""
-
+# Of this machine: processes of others, which may see the same folder, are not asked about.
 MACHINE_DIGEST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
-"""Of this machine: processes of others, which may see the same folder, are not asked about."""
 
 
 def real_path(path: Path) -> Path:
@@ -203,9 +202,8 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
     The folder need not exist; its parent must. A new folder appears with all that is in it at once. Folders in it are
     made, or added to. With ``overwrite`` files of the same names are replaced, those included that appeared meanwhile.
 
-    Raises:
-        OutputPathError: there is a file of one of the names, and ``overwrite`` is off.
-        WriteError: the disk is full, or the folder went away.
+    OutputPathError: there is a file of one of the names, and ``overwrite`` is off. WriteError: the disk is full, or the
+    folder went away.
     """
     with hidden_folder(folder) as temporary:
         yield temporary
@@ -255,3 +253,42 @@ def replaced_folder(folder: Path, former: Iterable[str], *, overwrite: bool) -> 
     for place in {file.parent for file in left} - {folder}:
         with suppress(OSError):  # something else is in it
             place.rmdir()
+
+
+if sys.platform == "win32":  # pragma: no cover
+
+    def lock(descriptor: int) -> None:
+        """No lock; two runs with one output are not noticed before the end."""
+else:
+    import fcntl
+
+    def lock(descriptor: int) -> None:
+        """Lock an open file for this process; OSError: another one has it."""
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def claimed(place: Path) -> Iterator[None]:
+    """Hold the place of an output while work is done for it. OutputPathError: another run on this machine holds it.
+
+    The lock is a file among the system's temporary ones, so that nothing is left beside outputs.
+    """
+    digest = hashlib.sha256(os.fsencode(real_path(place))).hexdigest()[:24]
+    file = Path(tempfile.gettempdir(), f"omnisyn-{digest}.lock")
+    try:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    except OSError:  # of another user, or there is no room: then it is noticed at the end
+        yield
+        return
+    with os.fdopen(descriptor):
+        try:
+            lock(descriptor)
+        except OSError as error:
+            raise OutputPathError(
+                f"{place}: expected an output of its own, got one that another run is making; wait for its end, or "
+                "choose another"
+            ) from error
+        try:
+            yield
+        finally:
+            file.unlink(missing_ok=True)

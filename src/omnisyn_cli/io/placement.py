@@ -9,11 +9,9 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import ImageHeader
 
+# EXIF: those that turn a picture by a quarter, so that width and height change places.
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
-"""EXIF: those that turn a picture by a quarter, so that width and height change places."""
-
-MAX_TAGGED_PIXELS = 2**31
-"""Largest size in a tag that is believed, in pixels: products of two sizes stay exact."""
+MAX_TAGGED_PIXELS = 2**31  # largest size in a tag that is believed, in pixels: products of two sizes stay exact
 
 Crop = tuple[float, float, float, float, float, float]
 """As :class:`Placement`, in pixels of the stitched panorama, before it was scaled."""
@@ -81,8 +79,7 @@ class Reading:
         return Placement(height, width, top, (full_width - width) // 2, full_height, full_width)
 
 
-DEFAULT_READING = Reading()
-"""Whole spheres, as their tags and their samples say."""
+DEFAULT_READING = Reading()  # whole spheres, as their tags and their samples say
 
 
 def placement_of(header: ImageHeader, reading: Reading = DEFAULT_READING) -> Placement:

@@ -30,12 +30,10 @@ from omnisyn_cli.io.boxes import (
 )
 from omnisyn_cli.io.outputs import replaced_when_complete
 
+# Of the box with :data:`SPHERICAL_XML`: Spherical Video V1 RFC.
 SPHERICAL_UUID = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
-"""Of the box with :data:`SPHERICAL_XML`: Spherical Video V1 RFC."""
-
-SOFTWARE = "OmniSyn"
-"""What players show as the program that stitched."""
-
+SOFTWARE = "OmniSyn"  # what players show as the program that stitched
+# Metadata after the Spherical Video V1 RFC.
 SPHERICAL_XML = (
     '<?xml version="1.0"?>'
     '<rdf:SphericalVideo xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"'
@@ -46,16 +44,10 @@ SPHERICAL_XML = (
     "<GSpherical:ProjectionType>equirectangular</GSpherical:ProjectionType>"
     "{stereo}</rdf:SphericalVideo>"
 )
-"""Metadata after the Spherical Video V1 RFC."""
-
-STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}
-"""Values of the box ``st3d``: Spherical Video V2 RFC."""
-
+STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}  # values of the box ``st3d``: Spherical Video V2 RFC.
+# Boxes in ``proj``: Spherical Video V2 RFC.
 PROJECTIONS = {b"equi": "equirectangular", b"cbmp": "cubemap", b"mshp": "mesh"}
-"""Boxes in ``proj``: Spherical Video V2 RFC."""
-
-COPY_BLOCK_BYTES = 4 << 20
-"""Media data are copied in blocks of this size."""
+COPY_BLOCK_BYTES = 4 << 20  # media data are copied in blocks of this size
 
 
 @dataclass(frozen=True)
@@ -77,9 +69,8 @@ def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | 
     ``moov`` is put before the media data, so that players can start before the whole file has come. Tags that are there
     already are replaced. Media data are streamed, never loaded. An existing target is replaced.
 
-    Raises:
-        InputError: the source is missing, truncated, fragmented, has no video or is no MP4 or MOV file.
-        WriteError: the disk is full, or the folder went away.
+    InputError: the source is missing, truncated, fragmented, has no video or is no MP4 or MOV file. WriteError: the
+    disk is full, or the folder went away.
     """
     origin, destination = Path(source), Path(target)
     ranks = {b"ftyp": 0, b"moov": 1}  # then everything else in its order

@@ -1,20 +1,24 @@
-"""Places for the frames of a video: a video file tagged as a 360° panorama, or numbered images."""
+"""Places for the frames of a video: a video file tagged as a 360° panorama, or numbered images.
 
+They may be filled from a thread of its own, so that rendering goes on while frames are encoded.
+"""
+
+from __future__ import annotations
+
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol, Required, TypedDict, Unpack
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import OutputPathError
-from omnisyn_cli.io.encode import IMAGE_SUFFIXES
-from omnisyn_cli.io.encoders import CODECS, PLANAR_FORMAT, EncoderSettings, check_settings, encoder_command, raw_format
-from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
-from omnisyn_cli.io.outputs import check_output, temporary_name
-from omnisyn_cli.io.sequence import (
+from omnisyn_cli.io.encode import (
+    IMAGE_SUFFIXES,
     ImageSequence,
     check_sequence,
     image_sequence,
@@ -22,10 +26,13 @@ from omnisyn_cli.io.sequence import (
     is_sequence,
     open_sequence,
 )
+from omnisyn_cli.io.encoders import CODECS, PLANAR_FORMAT, EncoderSettings, check_settings, encoder_command, raw_format
+from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
+from omnisyn_cli.io.outputs import check_output, temporary_name
 from omnisyn_cli.io.spherical import inject_spherical
 
+# What a folder of frames can be made of.
 IMAGE_CODECS = {"png": (".png",), "jpg": (".jpg", ".jpeg"), "exr": (".exr",), "tif": (".tif", ".tiff")}
-"""What a folder of frames can be made of."""
 
 
 class FrameSink(Protocol):
@@ -47,38 +54,25 @@ def sample_type(path: Path | str, codec: str | None = None) -> str:
 
 
 class Encoding(TypedDict, total=False):
-    """How frames become a video or images; keywords of :func:`open_video` and of what checks for it.
+    """How frames become a video or images; keywords of :func:`open_video` and of what checks for it."""
 
-    Attributes:
-        size: ``(height, width)`` of the frames, both even for video.
-        fps: frames per second.
-        codec: ``h264`` (default), ``h265``, ``av1`` or ``prores``; for a folder ``png`` (default), ``jpg``, ``exr``
-            or ``tif``.
-        crf: constant quality, lower is better (defaults: H.264 17, H.265 20, AV1 28; ProRes has none). 0 makes H.264
-            lossless, which few players play.
-        preset: x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``.
-        threads: for the encoder; 0 (default) takes all.
-        dtype: of the frames, ``uint8`` (default) or ``uint16`` (10 bits; not for H.264). Image sequences take any.
-        stereo_mode: what players are told of a video: ``mono`` (default) or ``top-bottom`` panoramas; None: it is flat.
-    """
-
-    size: Required[tuple[int, int]]
-    fps: Required[float | Fraction]
-    codec: str | None
+    size: Required[tuple[int, int]]  # ``(height, width)`` of the frames, both even for video
+    fps: Required[float | Fraction]  # frames per second
+    codec: str | None  # ``h264`` (default), ``h265``, ``av1``, ``prores``; of images ``png`` (default) ``jpg exr tif``
+    # constant quality, lower is better (defaults: H.264 17, H.265 20, AV1 28; ProRes has none). 0 makes H.264 lossless,
+    # which few players play.
     crf: float | None
-    preset: str | None
-    threads: int
-    dtype: str
-    stereo_mode: str | None
+    preset: str | None  # x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``
+    threads: int  # for the encoder; 0 (default) takes all
+    dtype: str  # of the frames, ``uint8`` (default) or ``uint16`` (10 bits; not for H.264). Image sequences take any.
+    stereo_mode: str | None  # what players are told of a video: ``mono`` (default), ``top-bottom``; None: it is flat
 
 
 def check_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> None:
     """Refuse everything that :func:`open_video` would refuse, before any work; same arguments.
 
-    Raises:
-        OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with
-            the codec.
-        InputError: odd size, or a frame rate, quality, preset or sample type out of range.
+    OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with the
+    codec. InputError: odd size, or a frame rate, quality, preset or sample type out of range.
     """
     _checked(Path(path), overwrite, encoding)
 
@@ -95,10 +89,8 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     It is a video file (.mp4, .m4v, .mov), a folder, or a pattern such as ``frames/view_%05d.png``; an existing one is
     replaced with ``overwrite``.
 
-    Raises:
-        OutputPathError, InputError: see :func:`check_video`.
-        EncodingError: ffmpeg refused or stopped, or no frame came.
-        WriteError: the disk is full, or the folder went away.
+    OutputPathError, InputError: see :func:`check_video`. EncodingError: ffmpeg refused or stopped, or no frame came.
+    WriteError: the disk is full, or the folder went away.
     """
     target = Path(path)
     resolved = _checked(target, overwrite, encoding)
@@ -182,3 +174,64 @@ def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
         endings = " or ".join(IMAGE_CODECS[codec])
         raise OutputPathError(f"{path}: expected a pattern ending in {endings} for {codec}; change the pattern")
     return sequence
+
+
+FRAMES_IN_QUEUE = 2  # more would only cost memory: the slower side, rendering or encoding, decides the pace
+# Pixels (8192×4096) from which on one frame in the queue is enough: each takes long, and much memory.
+LARGE_FRAME_PIXELS = 2**25
+
+
+def frames_in_queue(size: tuple[int, int]) -> int:
+    """How many frames of a size wait for a sink at most."""
+    return FRAMES_IN_QUEUE if size[0] * size[1] < LARGE_FRAME_PIXELS else 1
+
+
+class FrameRing:
+    """Memory for frames on their way to sinks, used again when they have arrived.
+
+    There is room for a frame of ``size`` (height, width) that is written, one that is made, and ``waiting`` between.
+    """
+
+    def __init__(self, size: tuple[int, int], waiting: int) -> None:
+        self._frames = deque(np.empty((*size, 3), np.uint8) for _ in range(waiting + 2))
+
+    def __call__(self) -> UInt8[np.ndarray, "height width 3"]:
+        """Memory for the next frame; it is given to all sinks before the one after it is asked for."""
+        self._frames.rotate()
+        return self._frames[0]
+
+
+class BackgroundSink:
+    """Hands frames to another sink from a thread; frames must not be changed before they have arrived.
+
+    An error of the other sink is raised by the next call of :meth:`write` or by :meth:`finish`; frames that still wait
+    when the context ends with an error are dropped.
+
+    At most ``waiting`` frames wait for it while one is being written.
+    """
+
+    def __init__(self, sink: FrameSink, waiting: int = FRAMES_IN_QUEUE) -> None:
+        self._sink, self._waiting = sink, waiting
+        self._pending: deque[Future[None]] = deque()
+        self._worker = ThreadPoolExecutor(1, "omnisyn-frames")
+
+    def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
+        """Take one more frame; waits while as many are waiting as may."""
+        while self._pending and (len(self._pending) > self._waiting or self._pending[0].done()):
+            self._pending.popleft().result()
+        self._pending.append(self._worker.submit(self._sink.write, frame))
+
+    def finish(self) -> None:
+        """Wait until every frame has been handed over."""
+        while self._pending:
+            self._pending.popleft().result()
+
+    def __enter__(self) -> BackgroundSink:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self.finish()
+        finally:
+            self._worker.shutdown(cancel_futures=True)

@@ -15,26 +15,13 @@ from jaxtyping import UInt8
 from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
 
-RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
-"""Weights of the channels in luma (BT.709-6, item 3.2)."""
-
-BLACK_LUMA, LUMA_RANGE = 16.0, 219.0
-"""8-bit code of black, and how far above it white is (limited range)."""
-
-NEUTRAL_CHROMA, CHROMA_RANGE = 128.0, 224.0
-"""8-bit code of grey, and the range of the colour differences around it."""
-
-ROUNDING = 0.5
-"""Added before a code is truncated to an integer, so that it is rounded."""
-
-PIXELS_PER_RUN = 512
-"""Pixels of two rows that are converted together: their sums (6 KiB) stay in the L1 cache."""
-
-STRIDE = PIXELS_PER_RUN + 1
-"""Chroma sums of a channel: that of the column before the run, then those of the run."""
-
-TWO = np.float32(2.0)
-"""Typed, because a plain 2 would widen the products to 64 bits."""
+RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722  # weights of the channels in luma (BT.709-6, item 3.2)
+BLACK_LUMA, LUMA_RANGE = 16.0, 219.0  # 8-bit code of black, and how far above it white is (limited range)
+NEUTRAL_CHROMA, CHROMA_RANGE = 128.0, 224.0  # 8-bit code of grey, and the range of the colour differences around it
+ROUNDING = 0.5  # added before a code is truncated to an integer, so that it is rounded
+PIXELS_PER_RUN = 512  # pixels of two rows that are converted together: their sums (6 KiB) stay in the L1 cache
+STRIDE = PIXELS_PER_RUN + 1  # chroma sums of a channel: that of the column before the run, then those of the run
+TWO = np.float32(2.0)  # typed, because a plain 2 would widen the products to 64 bits
 
 
 def _luma_weights(of_channels: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:

@@ -53,18 +53,17 @@ def _make_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuse
 
 def _make_residual(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
     from omnisyn_cli.fusion.residual import ResidualFuser
-    from omnisyn_cli.runtime.image_networks import ResidualFusionSession
+    from omnisyn_cli.runtime.image_networks import FusionSession
 
-    return ResidualFuser(
-        settings.size, ResidualFusionSession(network()), settings.rows, threads=settings.threads, edges=settings.edges
-    )
+    session = FusionSession(network(), "shares")
+    return ResidualFuser(settings.size, session, settings.rows, threads=settings.threads, edges=settings.edges)
 
 
 def _make_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
     from omnisyn_cli.baselines.direct_fuser import DirectFuser
-    from omnisyn_cli.runtime.image_networks import DirectFusionSession
+    from omnisyn_cli.runtime.image_networks import FusionSession
 
-    return DirectFuser(settings.size, DirectFusionSession(network()), threads=settings.threads)
+    return DirectFuser(settings.size, FusionSession(network(), "colour"), threads=settings.threads)
 
 
 FUSIONS: Mapping[str, FusionStrategy] = by_name(

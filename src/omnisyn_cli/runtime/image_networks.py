@@ -13,8 +13,8 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-SIZE_MULTIPLE = 32
-"""The completion network halves its input five times: heights and widths are multiples of this."""
+SIZE_MULTIPLE = 32  # the completion network halves its input five times: heights and widths are multiples of this
+FUSION_CHANNELS = {"shares": 4, "colour": 3}  # of the answers of networks that fuse, by the name of their output
 
 
 class CompletionSession:
@@ -73,31 +73,28 @@ class GuidedDepthSession:
         return run_depth_network(session, inputs, first.shape[1:])
 
 
-class ResidualFusionSession:
-    """Channels in, shares of candidates out; a :class:`omnisyn_cli.fusion.residual.ResidualFusionNetwork`."""
+class FusionSession:
+    """Channels in; out what :data:`FUSION_CHANNELS` names: shares of candidates, or a picture, which is not bounded.
 
-    def __init__(self, session: Any) -> None:
-        self._session = _checked(session, "shares")
+    A :class:`omnisyn_cli.fusion.residual.ResidualFusionNetwork`, or a
+    :class:`omnisyn_cli.baselines.direct_fuser.DirectFusionNetwork`.
+    """
 
-    def __call__(self, channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
-        """Shares of four candidates."""
-        return _answer(self._session, channels, 4)
+    def __init__(self, session: Any, output: str) -> None:
+        names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
+        if names != [["planes"], [output]]:
+            raise InputError(
+                f"expected a model with the input 'planes' and the outputs {output!r}, got {names[0]} and {names[1]}; "
+                "name another"
+            )
+        self._session, self._out_channels = session, FUSION_CHANNELS[output]
 
-
-class DirectFusionSession:
-    """Channels in, a picture out; a :class:`omnisyn_cli.baselines.direct_fuser.DirectFusionNetwork`."""
-
-    def __init__(self, session: Any) -> None:
-        self._session = _checked(session, "colour")
-
-    def __call__(self, channels: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
-        """The picture, not bounded."""
-        return _answer(self._session, channels, 3)
-
-
-def _answer(session: Any, channels: np.ndarray, out_channels: int) -> np.ndarray:
-    (answer,) = run_network(session, {"planes": channels[None]}, ((1, out_channels, *channels.shape[1:]),))
-    return np.asarray(answer[0])
+    def __call__(
+        self, channels: Float32[np.ndarray, "channels height width"]
+    ) -> Float32[np.ndarray, "out_channels height width"]:
+        """The answer for channels of a frame."""
+        shape = (1, self._out_channels, *channels.shape[1:])
+        return np.asarray(run_network(self._session, {"planes": channels[None]}, (shape,))[0][0])
 
 
 def _padded(channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "channels rows columns"]:
@@ -106,14 +103,3 @@ def _padded(channels: Float32[np.ndarray, "channels height width"]) -> Float32[n
     below, beyond = -height % SIZE_MULTIPLE, -width % SIZE_MULTIPLE
     padded = np.pad(channels, ((0, 0), (0, below), (0, 0)), mode="edge")
     return np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
-
-
-def _checked(session: Any, output: str) -> Any:
-    """The session, with one input and this output."""
-    names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
-    if names != [["planes"], [output]]:
-        raise InputError(
-            f"expected a model with the input 'planes' and the outputs {output!r}, got {names[0]} and {names[1]}; name "
-            "another"
-        )
-    return session

@@ -1,24 +1,7 @@
 """The trained models that come with the program: a manifest, and files that are checked before they are used.
 
-``models/manifest.toml``::
-
-    version = 1
-
-    [[models]]
-    name = "depth-paper-narrow"   # what `--model` takes
-    role = "depth"                # depth | fusion | …
-    variant = "paper-narrow"
-    file = "depth-paper-narrow.onnx"   # beside the manifest
-    sha256 = "…"
-    size = [256, 512]             # rows and columns of the images it takes
-    parameters = 1428541
-    training = "…"                # on what
-    licence = "Apache-2.0"
-    purpose = "stereo depth"      # in a few words
-    hours = 2.0                   # of training on one processor core; 0 if unknown
-
-    [models.metrics]
-    delta_25 = 0.9
+``models/manifest.toml`` has the version and for each model a table ``[[models]]`` with the keys of
+:class:`ModelEntry`.
 """
 
 import hashlib
@@ -31,36 +14,30 @@ from pydantic import TypeAdapter
 
 from omnisyn_cli.errors import InputError
 
-MANIFEST = "manifest.toml"
-"""Name of the file beside the models."""
-
-MANIFEST_VERSION = 1
-"""Counts up when older programs could not read it."""
-
-MAX_REASON_CHARS = 500
-"""Characters of what a parser complains about."""
+MANIFEST = "manifest.toml"  # name of the file beside the models
+MANIFEST_VERSION = 1  # counts up when older programs could not read it
+MAX_REASON_CHARS = 500  # characters of what a parser complains about
 
 
 @dataclass(frozen=True)
 class ModelEntry:
-    """One model of a manifest, see the module's docstring."""
+    """One model of a manifest."""
 
-    name: str
-    role: str
-    variant: str
-    file: str
+    name: str  # what `--model` takes
+    role: str  # depth, fusion, …
+    variant: str  # of the network, such as paper-narrow
+    file: str  # beside the manifest
     sha256: str
-    size: tuple[int, int]
+    size: tuple[int, int]  # rows and columns of the images it takes
     parameters: int
-    training: str
+    training: str  # on what
     licence: str
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    purpose: str = ""
-    hours: float = 0.0
+    metrics: Mapping[str, float] = field(default_factory=dict)  # such as delta_25
+    purpose: str = ""  # in a few words
+    hours: float = 0.0  # of training on one processor core; 0 if unknown
 
 
-ENTRIES = TypeAdapter(list[ModelEntry])
-"""Checks what a manifest lists."""
+ENTRIES = TypeAdapter(list[ModelEntry])  # checks what a manifest lists
 
 
 def models_folder() -> Path:

@@ -10,25 +10,16 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import find_model
 
-DEVICES = ("auto", "cpu", "cuda")
-"""Where users can ask for networks to run."""
-
-MAX_COMPLAINT_CHARS = 300
-"""Characters of what ONNX Runtime says that are passed on."""
-
-PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
-"""ONNX Runtime's names of them."""
+DEVICES = ("auto", "cpu", "cuda")  # where users can ask for networks to run
+MAX_COMPLAINT_CHARS = 300  # characters of what ONNX Runtime says that are passed on
+PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}  # ONNX Runtime's names of them
 
 
 def open_session(path: Path, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
-    """A session of the model at ``path``.
+    """A session of the ONNX file at ``path``, with at most so many processor threads for one operation; None = all.
 
-    Args:
-        path: of the ONNX file.
-        device: ``auto`` takes CUDA if this ONNX Runtime has it.
-        threads: cap on the processor threads of one operation; None = all.
-        keeps_memory: for the next run; a network that seldom runs gives it back, and is a little slower.
-
+    The device ``auto`` takes CUDA if this ONNX Runtime has it. A session keeps memory for the next run; one of a
+    network that seldom runs may give it back, and is a little slower.
     Raises InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
     """
     import onnxruntime
@@ -65,12 +56,7 @@ def check_device_of_networks(device: str) -> None:
 def run_depth_network(
     session: Any, inputs: Mapping[str, np.ndarray], size: tuple[int, int]
 ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
-    """Inverse depth × baseline, finite and >= 0, and confidence in [0, 1], both of ``size``.
-
-    Args:
-        session: of a depth or completion model.
-        inputs: by name.
-        size: height and width of its answers.
+    """Inverse depth × baseline, finite and >= 0, and confidence in [0, 1], both of ``size`` (height, width).
 
     Raises InputError: the model does not take these inputs, or answers something else.
     """
@@ -83,12 +69,7 @@ def run_depth_network(
 def run_network(
     session: Any, inputs: Mapping[str, np.ndarray], shapes: Sequence[tuple[int, ...]] | None = None
 ) -> list[Float32[np.ndarray, "..."]]:
-    """All outputs of a model, finite.
-
-    Args:
-        session: of the model.
-        inputs: by name.
-        shapes: that its outputs must have, in their order; None for any.
+    """All outputs of a model, finite, and of these shapes in their order; None for any.
 
     Raises InputError: the model does not take these inputs, or answers something else.
     """

@@ -19,7 +19,7 @@ import torch
 from omnisyn_cli.compute.threads import at_most
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.io import write_image
-from omnisyn_cli.io.json_lines import append_line
+from omnisyn_cli.io.documents import append_line
 from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.training.checkpoint import compact, load_state, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files

@@ -15,8 +15,8 @@ from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
 from omnisyn_cli.interpolation.loading import PanoramaSurface
 from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.io.meshes import write_ply
 from omnisyn_cli.io.outputs import make_folder, named_in, write_parts
-from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats.colmap import colmap_files, colmap_rig_files
 from omnisyn_cli.poses.formats.files import CAMERA_AXES
 from omnisyn_cli.poses.formats.json_files import nerfstudio_text

@@ -32,8 +32,8 @@ from omnisyn_cli.io import open_video, read_header, read_panorama
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.io.images import read_picture
+from omnisyn_cli.io.meshes import write_ply
 from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, replaced_folder
-from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.poses.formats.files import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh

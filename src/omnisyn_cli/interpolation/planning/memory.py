@@ -9,7 +9,7 @@ import numpy as np
 from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
-from omnisyn_cli.io.background import frames_in_queue
+from omnisyn_cli.io.video import frames_in_queue
 from omnisyn_cli.pipeline.config import RunConfig
 
 FRAME_COPY_BYTES, ROUNDED_COPY_BYTES = 18, 10
