@@ -1,5 +1,6 @@
 """``omnisyn bench``: what settings cost in time and memory, and what they are worth."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,7 @@ def bench(
     if store is not None:
         write_table(store, machine_in_words(), measured)
     if as_json:
-        settings = [figures.to_json() for figures in measured]
+        settings = [asdict(figures) for figures in measured]
         print_json({"version": __version__, "machine": machine_in_words(), "settings": settings})
     elif not quiet:
         for table in bench_tables(measured):
