@@ -14,7 +14,7 @@ TINY_SIZE = (32, 64)
 
 @dataclass
 class HallNetworks:
-    """Stands in for :class:`omnisyn_cli.baselines.synsin_sessions.SynSinSessions`: true depth, plain colours.
+    """Stands in for :class:`omnisyn_cli.baselines.synsin.SynSinSessions`: true depth, plain colours.
 
     The hall's pattern says where a panorama was taken no better than a photograph does, so positions are told, in the
     order in which panoramas are looked at.

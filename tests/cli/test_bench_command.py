@@ -1,6 +1,7 @@
 """``omnisyn bench`` from the command line, and ``interpolate --budget``, which chooses by its figures."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,7 @@ def test_a_setting_is_measured_and_stored(omnisyn: Omnisyn, scenes: Path, tmp_pa
     assert (figures["status"], figures["source"], figures["pairs"]) == ("done", [32, 64], 1)
     assert all(score > 10 for score in figures["scores"].values())
     (stored,) = read_table(tmp_path / "table.json")
-    assert stored.to_json() == FIGURES.validate_python(figures).to_json()
+    assert asdict(stored) == asdict(FIGURES.validate_python(figures))
     assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
 
 

@@ -43,7 +43,7 @@ def test_what_model_takes_is_said_and_nothing_else_is_taken(tmp_path, omnisyn):
     every = {
         ("--depth", source.name, "--model", name)
         for source in DEPTH_SOURCES.values()
-        if source.has_network
+        if source.role
         for name in read_manifest()
     }
     assert choices < every

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import find_scenes
+from omnisyn_cli.evaluation.datasets.sources import Pair, choose_pairs
 from omnisyn_cli.evaluation.engine import EvaluationJob, plan_evaluation, run_evaluation
 from omnisyn_cli.evaluation.results import UnitRecord
 from omnisyn_cli.evaluation.views import LoadedPair, load_pair

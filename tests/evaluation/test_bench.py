@@ -19,7 +19,8 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench_run, bench_settings
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.bench_settings import BenchJob, make_scenes, plan_bench, run_bench
-from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import find_scenes
+from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.report import bench_tables, write_bench_report
 from omnisyn_cli.interpolation.job import InterpolationJob

@@ -20,8 +20,9 @@ from dataset_samples import (
 )
 
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.evaluation.datasets import NoScaleError, Scene, choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.evaluation.datasets.layouts import read_face_depth
+from omnisyn_cli.evaluation.datasets.sources import NoScaleError, Scene, choose_pairs
 from omnisyn_cli.evaluation.views import load_pair
 from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.io import read_panorama

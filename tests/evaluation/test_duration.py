@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 
 import numpy as np
@@ -172,7 +172,7 @@ def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(plan, mon
     scored = [f for f in table if f.scores]
     assert all(len(f.scores) >= 12 and np.min(list(f.scores.values())) > 8 for f in scored)
     assert {"crossfade", "flow"} < {f.config.method for f in scored}
-    assert json.dumps([f.to_json() for f in table])
+    assert json.dumps([asdict(f) for f in table])
 
 
 def test_a_preset_that_costs_half_as_much_again_is_worth_it(plan, monkeypatch):

@@ -9,7 +9,7 @@ from hall_samples import PATH, SIZE, damage, repaint, run, scores_of, write_hall
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import engine, fingerprint, methods
-from omnisyn_cli.evaluation.datasets import Pair, Scene
+from omnisyn_cli.evaluation.datasets.sources import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.measure import measure
 from omnisyn_cli.evaluation.methods import ComparedMethod

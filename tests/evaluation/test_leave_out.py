@@ -7,7 +7,8 @@ import pytest
 from hall_samples import run, write_halls
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets import choose_pairs, tours_of_photographs
+from omnisyn_cli.evaluation.datasets.layouts import tours_of_photographs
+from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.metrics.photographs import CAMERA_DEG, comparable_pixels, photograph_scores
 from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.io import write_image

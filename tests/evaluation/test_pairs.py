@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets import Scene, SceneFrame, choose_pairs, in_tours
+from omnisyn_cli.evaluation.datasets.sources import Scene, SceneFrame, choose_pairs, in_tours
 from omnisyn_cli.geometry.pose import Pose
 
 

@@ -18,7 +18,7 @@ from report_samples import absent, some_records, unit, with_pictures
 from omnisyn_cli.errors import WriteError
 from omnisyn_cli.evaluation import report
 from omnisyn_cli.evaluation.report import CSV_COLUMNS, write_report
-from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.results import RECORD, FrameRecord, UnitRecord
 from omnisyn_cli.evaluation.visualization import FRAMES_PER_METHOD, THUMBNAIL_WIDTH, embedded_picture, frame_sections
 from omnisyn_cli.io import write_image
 
@@ -187,8 +187,8 @@ def test_the_json_file_is_strict_and_has_all_records(tmp_path):
     records = [*some_records(), unit("still", "matching", (math.inf, 20.0))]
     write_report(tmp_path, records)
     content = strict(tmp_path / "report.json")
-    assert [UnitRecord.from_json(values) for values in content["units"]][:5] == records[:5]
-    assert UnitRecord.from_json(content["units"][-1]).frames[0].scores["ws_psnr"] == math.inf
+    assert [RECORD.validate_python(values) for values in content["units"]][:5] == records[:5]
+    assert RECORD.validate_python(content["units"][-1]).frames[0].scores["ws_psnr"] == math.inf
     assert content["tables"][0]["rows"][0]["name"] == "matching"
     assert {gap["method"] for gap in content["gaps"]} == {"", "oracle-depth", "synsin"}
 

@@ -12,8 +12,8 @@ from export_samples import CHAIN, OPENCV, exported, job_in, off_wall, wall_colou
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_quaternion
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale
+from omnisyn_cli.interpolation.export.datasets import DISC_RADIUS_SHARE, points_of
 from omnisyn_cli.interpolation.export.formats import plan_export
-from omnisyn_cli.interpolation.export.points import DISC_RADIUS_SHARE, points_of
 from omnisyn_cli.interpolation.export.run import run_export
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from synthesis_samples import RADIUS, SIZE, open_to_the_sky, posed

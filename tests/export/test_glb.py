@@ -13,10 +13,10 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from interpolation_samples import tour_job
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
-from omnisyn_cli.interpolation.export import triangulation
+from omnisyn_cli.interpolation.export import glb
 from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
+from omnisyn_cli.interpolation.export.glb import MAX_FLATNESS, TexturedMesh, textured_mesh
 from omnisyn_cli.interpolation.export.run import run_export
-from omnisyn_cli.interpolation.export.triangulation import MAX_FLATNESS, TexturedMesh, textured_mesh
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
@@ -157,7 +157,7 @@ def test_the_picture_is_shifted_by_no_more_than_is_said(monkeypatch: pytest.Monk
 
     assert widest(textured_mesh(mesh, 256)) < 0.15
     few = textured_mesh(mesh, 64)
-    monkeypatch.setattr(triangulation, "SHIFT", 10.0)
+    monkeypatch.setattr(glb, "SHIFT", 10.0)
     assert widest(few) < 0.5 * widest(textured_mesh(mesh, 64))
 
 

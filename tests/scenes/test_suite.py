@@ -10,7 +10,8 @@ from scene_samples import clearance
 from omnisyn_cli.cli.scenes import scenes
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.evaluation import scene_files as suite_module
-from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import find_scenes
+from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.scene_files import write_suite_scene
 from omnisyn_cli.io import read_depth
 from omnisyn_cli.poses.file import read_poses

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omnisyn_cli.baselines.synsin import SynSin
-from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator, SynSinSessions
+from omnisyn_cli.baselines.synsin import MonocularDepthEstimator, SynSin, SynSinSessions
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.pipeline.methods import open_synsin

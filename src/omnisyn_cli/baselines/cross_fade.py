@@ -84,9 +84,7 @@ class _FlowPair(_CrossFadePair):
 class CrossFadeMethod:
     """Both panoramas, turned, averaged by time; a :class:`~omnisyn_cli.synthesis.methods.Method`.
 
-    Args:
-        options: size of the frames, and threads; the rest is not looked at.
-        clock: collects seconds by stage.
+    Of the options only the size of the frames and threads are looked at.
     """
 
     pair_type: type[_CrossFadePair] = _CrossFadePair

@@ -41,10 +41,7 @@ class DirectFusionNetwork(Protocol):
 class DirectFuser(GeometricFuser):
     """Predicts frames; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
-    Args:
-        size: height and width of the frames; below :data:`SIZE_MULTIPLE` rows the fusion is geometric.
-        network: the network.
-        threads: at most this many; None is one per core.
+    Below :data:`SIZE_MULTIPLE` rows the fusion is geometric.
     """
 
     def __init__(self, size: tuple[int, int], network: DirectFusionNetwork, threads: int | None = None) -> None:
@@ -69,10 +66,7 @@ class DirectFuser(GeometricFuser):
         picture = self._network(np.concatenate(channels).astype(np.float32)).transpose(1, 2, 0)
         if self._enlarge is not None:
             picture = self._enlarge.bilinear(picture)
-        return self._write(picture, self._output_buffer(out))
-
-    def _write(self, picture: Float32[np.ndarray, "height width 3"], out: Picture) -> Picture:
-        """The picture within [0, 1], as float32 or quantised."""
+        out = self._output_buffer(out)
         if out.dtype == np.float32:
             return np.clip(picture, 0.0, 1.0, out=out)
         run_ranges(partial(quantize_rows, picture, np.float32(np.iinfo(out.dtype).max), out), len(out), self.threads)

@@ -24,11 +24,9 @@ class LearnedDepthEstimator:
     Estimates have as many rows as the network's images, and twice as many columns, whatever the size of the panoramas.
     Panoramas from one position have no parallax: everything is then 0 with confidence 0.
 
-    Args:
-        session: of a depth model, from :func:`omnisyn_cli.runtime.session.open_session`. Its metadata ``frame`` is
-            ``forward``: it wants panoramas held as :func:`omnisyn_cli.geometry.sweep.forward_frame` does.
-
-    Raises InputError: the model is of another kind.
+    The session (:func:`omnisyn_cli.runtime.session.open_session`) is of a depth model whose metadata ``frame`` is
+    ``forward``: it wants panoramas held as :func:`omnisyn_cli.geometry.sweep.forward_frame` does.
+    InputError: it is of another kind.
     """
 
     def __init__(self, session: Any) -> None:

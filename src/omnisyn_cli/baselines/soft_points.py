@@ -117,12 +117,7 @@ def splat(
 ) -> Float32[np.ndarray, "rows cols channels+1"]:  # fmt: skip
     """The features that a target sees, and last how opaque all points of a pixel are together, in [0, 1).
 
-    Args:
-        clouds: of one number of channels.
-        size: of the target, any.
-        radius: of a disc in rows of the target.
-        most: points that a pixel is made of.
-        threads: at most this many; the result does not depend on it.
+    Clouds have one number of channels; a disc has ``radius`` rows of the target, a pixel at most so many points.
     """
     lists = list_visible(
         [cloud.inverse_depth for cloud in clouds], [cloud.target_from_source for cloud in clouds], size,

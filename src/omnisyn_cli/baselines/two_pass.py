@@ -34,11 +34,7 @@ def rasterize_two_pass(
 ) -> Fragments:
     """The same contract as :func:`omnisyn_cli.render.rasterize.rasterize`, as far as flat triangles can keep it.
 
-    Args:
-        triangles: of a mesh, see :func:`triangles_without_caps`.
-        target_from_source: rigid transform from the panorama's camera frame to the target's.
-        size: of the target; its width is even.
-        threads: at most this many; the result does not depend on it.
+    ``size`` is that of the target; its width is even. The result does not depend on ``threads``.
     """
     rotation, translation = np.ascontiguousarray(target_from_source.rotation), np.asarray(target_from_source.position)
     corners = np.empty((*triangles.inverse_depth.shape, 3))

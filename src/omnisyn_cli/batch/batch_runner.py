@@ -102,10 +102,8 @@ def run_batch(
     Outputs and ``results.jsonl`` go into ``folder``, which is made if its parent exists. ``on_progress`` is called at
     the beginning and after each job.
 
-    Raises:
-        InputError: the manifest has problems, or the workers that were asked for cannot be had.
-        OutputPathError: outputs would replace what is not theirs, or another batch is at work in the folder.
-        WriteError: the disk is full.
+    InputError: the manifest has problems, or the workers that were asked for cannot be had; OutputPathError: outputs
+    would replace what is not theirs, or another batch is at work in the folder; WriteError: the disk is full.
     """
     begin = time.perf_counter()
     if manifest.problems:

@@ -170,12 +170,7 @@ class LocalExecutor(Executor):
     """Workers that are processes of this machine; each is started when its first job is given.
 
     It is started afresh (spawn), so that it inherits neither threads nor locks, and ends by itself when this process is
-    gone.
-
-    Args:
-        work: what to do.
-        workers: how many.
-        threads: of each worker's libraries.
+    gone. ``threads`` are those of each worker's libraries.
     """
 
     def __init__(self, work: Work, workers: int, threads: int) -> None:

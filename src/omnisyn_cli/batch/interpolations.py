@@ -24,27 +24,18 @@ from omnisyn_cli.io import Panorama, read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-MAX_CACHED_PANORAMAS = 3
-"""Two for the pair at work, one that it shares with the next pair."""
-
-MAX_CACHED_DEPTHS = 4
-"""Pairs whose depth a worker keeps."""
+MAX_CACHED_PANORAMAS, MAX_CACHED_DEPTHS, MAX_CACHED_ESTIMATORS = 3, 4, 4
+"""Kept at a time by a worker: two panoramas for the pair at work, one shared with the next pair; the depth of pairs;
+estimators, as jobs that want depth found in more ways than that load networks again."""
 
 T = TypeVar("T")
 
 
 class LRUCache(Generic[T]):
-    """The values that were asked for last.
-
-    Args:
-        most: how many are kept.
-
-    Attributes:
-        misses: how many were not known when they were asked for.
-    """
+    """The values that were asked for last, at most so many."""
 
     def __init__(self, most: int) -> None:
-        self.misses = 0
+        self.misses = 0  # how many were not known when they were asked for
         self._most = most
         self._known: OrderedDict[Hashable, T] = OrderedDict()
 
@@ -109,10 +100,6 @@ def _digest(view: View) -> bytes:
         if values is not None:
             digest.update(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
     return digest.digest()
-
-
-MAX_CACHED_ESTIMATORS = 4
-"""Kept at a time by a worker; jobs that want depth found in more ways than that load networks again."""
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,7 @@ def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
 def write_manifest(path: Path, lines: Iterable[Mapping[str, Any]], *, overwrite: bool = False) -> None:
     """Write lines as JSONL, file names relative to the manifest's folder.
 
-    Raises:
-        OutputPathError: the file exists and ``overwrite`` is off, or it has no folder.
-        WriteError: the disk is full.
+    OutputPathError: the file exists and ``overwrite`` is off, or it has no folder; WriteError: the disk is full.
     """
     check_output(path, overwrite)
     text = "".join(json.dumps(_relative(line, path.parent), ensure_ascii=False) + "\n" for line in lines)

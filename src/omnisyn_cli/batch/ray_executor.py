@@ -15,15 +15,11 @@ from omnisyn_cli.errors import InputError, OmnisynError
 
 
 class RayExecutor:
-    """An :class:`~omnisyn_cli.batch.executor.Executor` of Ray actors.
+    """An :class:`~omnisyn_cli.batch.executor.Executor` of Ray actors; the nodes must have this package installed.
 
-    Args:
-        work: what to do; the nodes must have this package installed.
-        workers: how many; None takes as many as the cluster's processors allow now.
-        threads: processors that each actor asks for.
-        gpus: GPUs, or a share of one, that each actor asks for.
-        address: of the cluster, such as ``auto`` or ``ray://host:10001``; None asks the environment variable
-            RAY_ADDRESS and otherwise starts a cluster on this machine.
+    Without a number of workers there are as many as the cluster's processors allow now; each actor asks for ``threads``
+    processors and ``gpus`` GPUs, or a share of one. The address is that of the cluster, such as ``auto`` or
+    ``ray://host:10001``; None asks the environment variable RAY_ADDRESS and otherwise starts one on this machine.
     """
 
     def __init__(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -254,7 +255,7 @@ def bench(
     if store is not None:
         write_table(store, machine_in_words(), measured)
     if as_json:
-        settings = [figures.to_json() for figures in measured]
+        settings = [asdict(figures) for figures in measured]
         print_json({"version": __version__, "machine": machine_in_words(), "settings": settings})
     elif not quiet:
         for table in bench_tables(measured):

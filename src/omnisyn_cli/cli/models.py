@@ -52,7 +52,7 @@ def models(folder: Path | None, as_json: bool) -> None:
 
 def _choices(entries: Iterable[ModelEntry], folder: Path | None) -> Iterator[str]:
     """The networks that ``--model`` takes, by their names or paths, with the source of depth that each belongs to."""
-    sources = {source.role: source.name for source in DEPTH_SOURCES.values() if source.has_network}
+    sources = {source.role: source.name for source in DEPTH_SOURCES.values() if source.role}
     for entry in entries:
         if entry.role in sources:
             yield f"--depth {sources[entry.role]} --model {entry.name if folder is None else folder / entry.file}"

@@ -75,7 +75,8 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
     depth are named and skipped.
     """
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
+    from omnisyn_cli.evaluation.datasets import find_scenes
+    from omnisyn_cli.evaluation.datasets.sources import choose_pairs
     from omnisyn_cli.evaluation.views import load_pair
     from omnisyn_cli.training.data import list_walks, load_walk, save_samples, walk_views
     from omnisyn_cli.training.scene_makers import pair_path, walk_of_views

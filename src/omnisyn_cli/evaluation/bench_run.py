@@ -18,7 +18,7 @@ from statistics import fmean
 
 import numpy as np
 
-from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
+from omnisyn_cli.evaluation.datasets.sources import Pair, SceneFrame
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.evaluation.views import at_size, load_pair
@@ -37,11 +37,8 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 PHOTOGRAPHS_PER_CLIP = 2
 """The first and the last frame of a clip, which are not rendered."""
 
-PEAK_MEMORY_FIELD = "VmHWM:"
-"""Linux: the greatest resident size of a process, in kB."""
-
-PROCESS_STATUS = Path("/proc/self/status")
-"""Where Linux says so."""
+PROCESS_STATUS, PEAK_MEMORY_FIELD = Path("/proc/self/status"), "VmHWM:"
+"""Where Linux says what the greatest resident size of a process was, in kB."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +63,7 @@ def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = l
     """Measure a setting; copies and clips go into an empty folder.
 
     The first clip is made twice: what it takes longer the first time is ``start``. ``on_warm`` is called in between.
-
-    Raises:
-        InputError: a picture cannot be read, or a network is missing.
-        EncodingError, WriteError: a clip cannot be written.
+    InputError: a picture cannot be read, or a network is missing; EncodingError, WriteError: a clip cannot be written.
     """
     setting = run.setting
     config = replace(find_method(setting.method).config, device=run.device)

@@ -8,7 +8,7 @@ import platform
 import signal
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -18,7 +18,8 @@ from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
-from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import find_scenes
+from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.scene_files import write_scene
@@ -131,10 +132,8 @@ def run_bench(
     """Measure what is not measured yet in the folder of a report; the figures of all settings in their order.
 
     ``on_setting`` is called with the number of finished settings and the figures of the last one.
-
-    Raises:
-        InputError: the results of an earlier run cannot be read, or a file of the data set is missing.
-        OutputPathError, WriteError: the folder of the report cannot be written.
+    InputError: the results of an earlier run cannot be read, or a file of the data set is missing; OutputPathError,
+    WriteError: the folder of the report cannot be written.
     """
     make_folder(report, "results")
     path = report / RESULTS_NAME
@@ -148,7 +147,7 @@ def run_bench(
         figures = known.get(key)
         if figures is None:
             figures = _measure_in_child(replace(run, key=key))
-            append_line(path, figures.to_json())
+            append_line(path, asdict(figures))
         measured.append(figures)
         if on_setting:
             on_setting(len(measured), figures)

@@ -11,16 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.datasets import (
+from omnisyn_cli.evaluation.datasets import find_scenes
+from omnisyn_cli.evaluation.datasets.layouts import still_region_of, tours_of_photographs
+from omnisyn_cli.evaluation.datasets.sources import (
     AROUND_PAIRS,
     NoScaleError,
     Pair,
     SceneSource,
     choose_pairs,
-    find_scenes,
     in_tours,
-    still_region_of,
-    tours_of_photographs,
 )
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.grouping import BOUND, median_depth
@@ -35,8 +34,9 @@ from omnisyn_cli.evaluation.methods import (
     find_methods,
 )
 from omnisyn_cli.evaluation.results import Status, UnitRecord, append_record, read_records, worst_frames
-from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
+from omnisyn_cli.evaluation.views import LoadedPair, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
+from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.io.outputs import make_folder
 
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
@@ -44,9 +44,6 @@ KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
 
 DEFAULT_TOUR_PAIRS = "every:2"
 """Pairs of tours unless others are asked for."""
-
-TOO_FEW_PANORAMAS = "expected panoramas enough for a pair, got fewer"
-"""Why a scene has no pairs."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +87,7 @@ class EvaluationPlan:
 def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     """Read the poses of all scenes; no picture is read and nothing is written.
 
-    Raises:
-        InputError: no scenes, no such method, pairs that cannot be understood or that no scene has, or a size that is
-            not 2:1.
+    InputError: no scenes, no such method, pairs that cannot be understood or that no scene has, or a size not 2:1.
     """
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
@@ -118,7 +113,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
         else:
             pairs += found
             if not found and (job.pairs is None or not Path(job.pairs).is_file()):
-                findings.append(_finding(source, "skipped", TOO_FEW_PANORAMAS))
+                findings.append(_finding(source, "skipped", "expected panoramas enough for a pair, got fewer"))
     if not pairs and not findings:
         raise InputError(f"{job.pairs}: expected pairs of the scenes in {job.dataset}, got none; check the names")
     if job.methods == "usual" and job.leave_out:
@@ -153,10 +148,8 @@ def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], No
     """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
 
     ``on_unit`` is called with the number of finished units and the record of the last one.
-
-    Raises:
-        InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one.
-        OutputPathError, WriteError: the folder of the report cannot be written.
+    InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one; OutputPathError,
+    WriteError: the folder of the report cannot be written.
     """
     return list(_written(plan, on_unit))
 
@@ -204,9 +197,10 @@ class _UnitRunner:
         """One record for every method, the known one where nothing has changed."""
         loaded: LoadedPair | str | None = None
         depths = PairDepths()
+        baseline = distance_between(pair.first.pose, pair.second.pose)
         for method in methods:
             blank = UnitRecord(
-                "", pair.scene, pair.first.name, pair.second.name, method.name, "failed", baseline=baseline_of(pair)
+                "", pair.scene, pair.first.name, pair.second.name, method.name, "failed", baseline=baseline
             )
             try:
                 ingredients = [method.name, *method.ingredients()]

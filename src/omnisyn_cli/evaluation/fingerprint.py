@@ -9,7 +9,7 @@ from typing import Any
 
 import omnisyn_cli
 from omnisyn_cli.errors import ImageError
-from omnisyn_cli.evaluation.datasets import Pair
+from omnisyn_cli.evaluation.datasets.sources import Pair
 from omnisyn_cli.runtime.models import sha256_of
 
 RECORD_VERSION = 3

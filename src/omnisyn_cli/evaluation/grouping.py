@@ -172,18 +172,10 @@ def gaps(records: Sequence[UnitRecord]) -> list[Gap]:
     return [Gap(*key, tuple(where)) for key, where in found.items()]
 
 
-def standard_error(sample: Sample) -> float:
-    """Of the mean of all values, which are grouped by scene; NaN of a single group.
-
-    Source: Cameron and Miller, "A Practitioner's Guide to Cluster-Robust Inference", 2015, equation 11.
-    """
-    return _error_and_groups(sample)[0]
-
-
 def beats(sample: Sample, other: Sample) -> bool:
     """Whether the mean is higher than that of another, of the same keys, by more than chance explains (95 %)."""
     difference = {where: value - other[where] for where, value in sample.items()}
-    error, groups = _error_and_groups(difference)
+    error, groups = error_and_groups(difference)
     return bool(mean(difference.values()) > STUDENT_T[min(groups - 1, len(STUDENT_T) - 1)] * error)
 
 
@@ -200,7 +192,11 @@ def undominated(samples: Sequence[Sample | None]) -> list[bool]:
     ]
 
 
-def _error_and_groups(sample: Sample) -> tuple[float, int]:
+def error_and_groups(sample: Sample) -> tuple[float, int]:
+    """The standard error of the mean of all values, NaN of a single group; and how many groups (scenes) there are.
+
+    Source: Cameron and Miller, "A Practitioner's Guide to Cluster-Robust Inference", 2015, equation 11.
+    """
     parts = 1 if len({where[0] for where in sample}) > 1 else PAIR_PARTS
     center, sums = mean(sample.values()), defaultdict[tuple[Any, ...], float](float)
     for where, value in sample.items():

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.evaluation.metrics.artefacts import PhotographEdges, flying_share, shard_share
 from omnisyn_cli.evaluation.metrics.depth import confidence_metrics, depth_metrics, left_right_metrics, scored_pixels
-from omnisyn_cli.evaluation.metrics.flying import flying_share
 from omnisyn_cli.evaluation.metrics.image import (
     SSIM_WINDOW,
     Masks,
@@ -29,7 +29,6 @@ from omnisyn_cli.evaluation.metrics.image import (
     ws_ssim,
 )
 from omnisyn_cli.evaluation.metrics.photographs import photograph_scores
-from omnisyn_cli.evaluation.metrics.shards import PhotographEdges, shard_share
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord
 from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame, at_size
@@ -41,14 +40,8 @@ from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-CLIP_FRAMES = 9
-"""Odd, so that one lies in the middle. Set by hand."""
-
-CLIP_STEP = 1 / 60
-"""Share of the way: two seconds of video at 30 frames a second."""
-
-CLIP_HEIGHT = 256
-"""Rows at most, which keeps the clip cheaper than the true frames."""
+CLIP_FRAMES, CLIP_STEP, CLIP_HEIGHT = 9, 1 / 60, 256
+"""Set by hand: an odd number, so that one lies in the middle; so few rows keep it cheaper than the true frames."""
 
 END_SHARE = 1e-6
 """Share of the way from a panorama at which a frame is rendered rather than the photograph shown."""

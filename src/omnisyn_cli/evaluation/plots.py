@@ -54,19 +54,16 @@ MAX_POINTS = 2000
 
 def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:
     """Every diagram that there are figures for: a key of :data:`PLOT_TITLES` -> PNG file."""
-    drawings = (_quality_by_distance, _quality_by_share, _quality_by_seconds, _seconds_by_stage, _reliability)
-    figures = {name: draw(records) for name, draw in zip(PLOT_TITLES, drawings, strict=True)}
+    figures = {
+        "ws-psnr-by-distance": _quality_by(
+            records, lambda f: (f.distance, distance_band(f.distance)[0]), "Distance from the nearer panorama, m"
+        ),
+        "ws-psnr-by-share": _quality_by(records, lambda f: (f.t, time_band(f.t)[0]), "Share of the way, t"),
+        "ws-psnr-by-seconds": _quality_by_seconds(records),
+        "seconds-by-stage": _seconds_by_stage(records),
+        "reliability": _reliability(records),
+    }
     return {name: _png(figure) for name, figure in figures.items() if figure is not None}
-
-
-def _quality_by_distance(records: Sequence[UnitRecord]) -> Figure | None:
-    """The paper's diagram: WS-PSNR against the distance from the nearer panorama."""
-    axis = "Distance from the nearer panorama, m"
-    return _quality_by(records, lambda frame: (frame.distance, distance_band(frame.distance)[0]), axis)
-
-
-def _quality_by_share(records: Sequence[UnitRecord]) -> Figure | None:
-    return _quality_by(records, lambda frame: (frame.t, time_band(frame.t)[0]), "Share of the way, t")
 
 
 def _quality_by(

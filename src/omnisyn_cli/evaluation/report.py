@@ -157,7 +157,7 @@ def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
     """
     diagram, about = pareto_plot(measured, DEFAULT_METHOD), {"version": __version__, "machine": machine_in_words()}
     template = _environment(autoescape=True).get_template("bench.html.j2")
-    values = {**about, "settings": [figures.to_json() for figures in measured]}
+    values = {**about, "settings": [asdict(figures) for figures in measured]}
     texts = {
         "bench.html": template.render(tables=bench_tables(measured), diagram=diagram, **about),
         "bench.json": json.dumps(values, ensure_ascii=False, allow_nan=False, indent=1) + "\n",

@@ -37,9 +37,9 @@ class FrameRecord:
     distance: float  # metres to the nearer of the two panoramas
     # ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``, ``lrce``,
     # and ``lpips`` if a network for it was given; ``change_psnr`` of all but the first, see
-    # :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, see
-    # :mod:`omnisyn_cli.evaluation.metrics.flying`. ``shards`` of all frames, the only one without a true frame, see
-    # :mod:`omnisyn_cli.evaluation.metrics.shards`.
+    # :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, and
+    # ``shards`` of all frames, the only one without a true frame, see
+    # :mod:`omnisyn_cli.evaluation.metrics.artefacts`.
     scores: Mapping[str, float]
     # ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the report, with
     # "/"; may be empty
@@ -115,14 +115,9 @@ class UnitRecord:
         values: dict[str, Any] = json_values(asdict(self))
         return values
 
-    @staticmethod
-    def from_json(values: Any) -> UnitRecord:
-        """The record that :meth:`to_json` made plain values of; ValueError where it did not make them."""
-        return RECORD.validate_python(values)
-
 
 RECORD = TypeAdapter(UnitRecord)
-"""Reads and checks the lines."""
+"""Makes records of the plain values of :meth:`UnitRecord.to_json` again."""
 
 
 def mean(values: Iterable[float]) -> float:
@@ -159,7 +154,7 @@ def read_records(folder: Path) -> list[UnitRecord]:
     path, records = folder / RESULTS_NAME, []
     for number, line in enumerate(complete_lines(path), start=1):
         try:
-            records.append(UnitRecord.from_json(json.loads(line)))
+            records.append(RECORD.validate_python(json.loads(line)))
         except (ValueError, RecursionError) as error:
             raise InputError(
                 f"{path}: expected a record in line {number}, got '{error!s:.200}'; remove the file or name another "

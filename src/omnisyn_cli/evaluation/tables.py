@@ -346,7 +346,7 @@ def _cells(samples: Sequence[grouping.Sample], better: Sequence[int]) -> tuple[C
         for sample, sign in zip(samples, better, strict=True)
     ]
     return tuple(
-        Cell(mean(sample.values()), len(sample), grouping.standard_error(sample), is_best)
+        Cell(mean(sample.values()), len(sample), grouping.error_and_groups(sample)[0], is_best)
         for sample, is_best in zip(samples, grouping.undominated(signed), strict=True)
     )
 

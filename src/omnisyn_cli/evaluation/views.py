@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
+from omnisyn_cli.evaluation.datasets.sources import Pair, SceneFrame
 from omnisyn_cli.evaluation.metrics.photographs import comparable_pixels
 from omnisyn_cli.geometry.pose import Pose, distance_between, interpolate_pose
 from omnisyn_cli.io import read_mask, read_panorama
@@ -66,11 +66,6 @@ class LoadedPair:
         first, second = (view.pose for view in self.views)
         distance = 0.5 * distance_between(first, second)
         return (Target(HALF_WAY, Waypoint(0, 0.5, interpolate_pose(first, second, 0.5)), distance),)
-
-
-def baseline_of(pair: Pair) -> float:
-    """Metres from the first to the second panorama."""
-    return distance_between(pair.first.pose, pair.second.pose)
 
 
 def at_size(

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from omnisyn_cli.evaluation.datasets import Pair
+from omnisyn_cli.evaluation.datasets.sources import Pair
 from omnisyn_cli.evaluation.grouping import finished, pair_names, ranked_methods
 from omnisyn_cli.evaluation.measure import Measurement
 from omnisyn_cli.evaluation.metrics.image import Masks, Picture, check_same_size
@@ -50,11 +50,8 @@ PICTURES_FOLDER = "pictures"
 MAX_NAME_CHARS = 80
 """Of a scene in a file name: file systems take 255 bytes for all of it."""
 
-FRAMES_PER_METHOD = 4
-"""The worst frames of each method that are shown."""
-
-MAX_PANORAMAS = 8
-"""The panoramas whose depth is shown."""
+FRAMES_PER_METHOD, MAX_PANORAMAS = 4, 8
+"""The worst frames of each method that are shown, and the panoramas whose depth is."""
 
 THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
 """Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder."""
@@ -100,12 +97,8 @@ def turbo(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Inverse depth in the Turbo colours: red is near, dark blue infinitely far, black unknown (negative or NaN).
 
-    The colour is that of the square root of ``inverse_depth / largest``, so that far surfaces differ as well.
-
-    Args:
-        inverse_depth: 1/m.
-        largest: inverse depth that has the last colour; give both of two pictures that are to be compared the same.
-            By default the 99th percentile of what is positive and finite, else 1.
+    The colour is that of the square root of ``inverse_depth / largest``, so that far surfaces differ as well. Both are
+    in 1/m; ``largest`` has the last colour, by default the 99th percentile of what is positive and finite, else 1.
 
     Source of the colours: Mikhailov, Turbo, an improved rainbow colormap for visualization, 2019.
     """

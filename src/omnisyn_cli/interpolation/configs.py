@@ -89,9 +89,9 @@ def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: RunCon
 def _model(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
     """The network that finds or refines depth, if one does."""
     source = DEPTH_SOURCES[kind]
-    if not source.has_network:
+    if source.role is None:
         if job.model is not None:
-            networked = " or ".join(name for name, each in DEPTH_SOURCES.items() if each.has_network)
+            networked = " or ".join(name for name, each in DEPTH_SOURCES.items() if each.role)
             raise InputError(
                 f"expected a model only for depth {networked}, got depth {kind!r} and model {job.model!r}; "
                 "leave one of them out"

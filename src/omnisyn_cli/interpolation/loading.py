@@ -61,9 +61,6 @@ class Loader(Sequence[View]):
     """All views, read from their files when they are needed.
 
     The last two are kept, as long as the loader is; three where depth is looked for in a tour, more at its crossings.
-
-    Attributes:
-        left_out: share of the sphere that was found to move with the camera, by the index of the panorama.
     """
 
     def __init__(self, plan: TourPlan, clock: Stopwatch, read: PanoramaReader) -> None:
@@ -76,7 +73,7 @@ class Loader(Sequence[View]):
         find = partial(_find_camera_fixed, plan, self.panorama, self._companions, still)
         self._camera_fixed = lru_cache(maxsize=kept)(find)
         self._neighbour = {view: pair for pair in reversed(plan.pairs) for view in pair}
-        self.left_out: dict[int, float] = {}
+        self.left_out: dict[int, float] = {}  # share of the sphere that moves with the camera, by index
 
     def __len__(self) -> int:
         return len(self._plan.entries)

@@ -35,9 +35,6 @@ DIRECTIONS = (
 MIN_STEEP_DEG, MAX_LEVEL_DEG = 60.0, 15.0
 """Elevations from which on a direction is straight up or down, and below which it is level."""
 
-CONFIDENCE_PAGE = "docs/confidence.md"
-"""What messages about confidence refer to."""
-
 
 @dataclass(frozen=True)
 class TourSummary:
@@ -99,7 +96,7 @@ class TourSummary:
         soft = ", on soft surfaces" if index in self.soft_pairs else ""
         yield f"confidence: {word} ({worst.score:.2f}){soft}, weakest {self.place(index, weakest)}"
         if word != CONFIDENCE_WORDS[0][1]:
-            yield f"to try: {', '.join(self._remedies(worst))} ({CONFIDENCE_PAGE})"
+            yield f"to try: {', '.join(self._remedies(worst))} (docs/confidence.md)"
             if is_report_possible:
                 yield f"to see why: {shlex.join(self._report_command())}"
 

@@ -34,35 +34,21 @@ def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class RunConfig:
-    """What frames are made with.
+    """What frames are made with."""
 
-    Attributes:
-        depth: where it comes from.
-        method: one of :data:`~omnisyn_cli.pipeline.methods.METHODS`; to all but the first only the device matters.
-        renderer: one of :data:`~omnisyn_cli.pipeline.renderers.RENDERERS`.
-        cut: share of inverse depth by which neighbouring pixels differ where surfaces are cut; None cuts at none.
-        cut_metres: step of depth at which they are cut (the paper's rule), likewise.
-        adaptive: whether flat surfaces are drawn with fewer triangles.
-        fusion: one of :data:`~omnisyn_cli.pipeline.fusions.FUSIONS`.
-        fusion_rows: that a network which corrects the rules looks at, at most.
-        edges: whether pixels at edges are means of samples (:mod:`omnisyn_cli.fusion.supersampling`).
-        fallback: one of :data:`FALLBACKS`.
-        confidence: whether every frame gets a map of its confidence.
-        device: where networks run, one of :data:`DEVICES`.
-    """
-
-    depth: DepthSource = field(default_factory=DepthSource)
-    method: str = OMNISYN
-    renderer: str = "mesh"
+    depth: DepthSource = field(default_factory=DepthSource)  # where it comes from
+    method: str = OMNISYN  # one of :data:`~omnisyn_cli.pipeline.methods.METHODS`; to others only the device matters
+    renderer: str = "mesh"  # one of :data:`~omnisyn_cli.pipeline.renderers.RENDERERS`
+    # share of inverse depth by which neighbouring pixels differ where surfaces are cut; None cuts at none
     cut: float | None = 0.05
-    cut_metres: float | None = None
-    adaptive: bool = False
-    fusion: str = "geometric"
-    fusion_rows: int = 96
-    edges: bool = True
-    fallback: str = "none"
-    confidence: bool = False
-    device: str = "auto"
+    cut_metres: float | None = None  # step of depth at which they are cut (the paper's rule), likewise
+    adaptive: bool = False  # whether flat surfaces are drawn with fewer triangles
+    fusion: str = "geometric"  # one of :data:`~omnisyn_cli.pipeline.fusions.FUSIONS`
+    fusion_rows: int = 96  # that a network which corrects the rules looks at, at most
+    edges: bool = True  # whether pixels at edges are means of samples (:mod:`omnisyn_cli.fusion.supersampling`)
+    fallback: str = "none"  # one of :data:`FALLBACKS`
+    confidence: bool = False  # whether every frame gets a map of its confidence
+    device: str = "auto"  # where networks run, one of :data:`DEVICES`
 
     def of_known_depth(self) -> RunConfig:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
@@ -92,11 +78,6 @@ class RunConfig:
     def estimates_depth(self) -> bool:
         """Whether depth is estimated: it is neither read from files nor of no importance to the method."""
         return self.draws_surfaces and not self.depth.strategy.reads_files
-
-    @property
-    def supersamples(self) -> bool:
-        """Whether pixels at edges are means of samples."""
-        return self.edges and self.renderer_strategy.shades_on_demand and self.fusion_strategy.by_rules
 
     @property
     def networks(self) -> tuple[str, ...]:

@@ -93,11 +93,6 @@ class DepthStrategy:
     estimation_bytes: float = 110e6  # memory that is given back when depth was found and both surfaces were made
     refining_bytes: float = 0.0  # memory for each pixel of the finest surface while depth is refined from size to size
 
-    @property
-    def has_network(self) -> bool:
-        """Whether a network takes part."""
-        return self.role is not None
-
     def refines(self, grids: Sequence[Size]) -> bool:
         """Whether depth comes to its size step by step."""
         return self.refining_bytes > 0.0 and len(grids) > 1
@@ -127,16 +122,12 @@ def _make_files(source: DepthSource, network: Callable[..., Any], threads: int |
     return KnownDepth()
 
 
-def _matching(source: DepthSource, threads: int | None) -> MatchingDepthEstimator:
+def _make_matching(source: DepthSource, network: Callable[..., Any], threads: int | None) -> MatchingDepthEstimator:
     from omnisyn_cli.stereo.depth_sizes import matching_rows
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
     rows = matching_rows(source.rows)
     return MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
-
-
-def _make_matching(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
-    return _matching(source, threads)
 
 
 def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
@@ -145,7 +136,9 @@ def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int
 
     refinement = None if source.model is None else CompletionSession(network(source.model))
     prior = None if source.prior is None else _prior(source, partial(network, source.prior, keeps_memory=False))
-    return RefinedDepthEstimator(replace(_matching(source, threads), prior=prior), refinement, source.rows)
+    return RefinedDepthEstimator(
+        replace(_make_matching(source, network, threads), prior=prior), refinement, source.rows
+    )
 
 
 def _prior(source: DepthSource, open_session: Callable[[], Any]) -> PairPrior:
@@ -169,7 +162,7 @@ def _make_network(source: DepthSource, network: Callable[..., Any], threads: int
 
 
 def _make_monocular(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
-    from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator
+    from omnisyn_cli.baselines.synsin import MonocularDepthEstimator
 
     return MonocularDepthEstimator(network(source.model))
 

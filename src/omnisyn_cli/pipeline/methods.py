@@ -11,7 +11,7 @@ from omnisyn_cli.pipeline.choices import by_name
 from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH
 
 if TYPE_CHECKING:
-    from omnisyn_cli.baselines.synsin_sessions import SynSinSessions
+    from omnisyn_cli.baselines.synsin import SynSinSessions
     from omnisyn_cli.compute.stopwatch import Stopwatch
     from omnisyn_cli.synthesis.methods import Method
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
@@ -79,7 +79,7 @@ def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSe
 
     Raises InputError: one is not there, is of another kind, or cannot be used on that device.
     """
-    from omnisyn_cli.baselines.synsin_sessions import SynSinSessions
+    from omnisyn_cli.baselines.synsin import SynSinSessions
     from omnisyn_cli.runtime.session import open_model
 
     return SynSinSessions(*(open_model(model, device=device, threads=threads) for model in SYNSIN_MODELS))

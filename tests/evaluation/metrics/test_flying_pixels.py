@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics.flying import COLOUR_TOLERANCE, flying_pixels, flying_share, is_around
+from omnisyn_cli.evaluation.metrics.artefacts import COLOUR_TOLERANCE, flying_pixels, flying_share, is_around
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, solid_angles
 from omnisyn_cli.types import DepthEstimate, View

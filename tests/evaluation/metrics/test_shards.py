@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.compute.threads import limited_threads
-from omnisyn_cli.evaluation.metrics.shards import MAX_ROWS, PhotographEdges, shard_share
+from omnisyn_cli.evaluation.metrics.artefacts import MAX_ROWS, PhotographEdges, shard_share
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.types import View
 

@@ -5,39 +5,8 @@ from functools import partial
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets.layouts import (
-    carla_scenes,
-    habitat_scenes,
-    own_scenes,
-    still_region_of,
-    tours_of_photographs,
-    zind_scenes,
-)
-from omnisyn_cli.evaluation.datasets.sources import (
-    AROUND_PAIRS,
-    NoScaleError,
-    Pair,
-    Scene,
-    SceneFrame,
-    SceneSource,
-    choose_pairs,
-    in_tours,
-)
-
-__all__ = [
-    "AROUND_PAIRS",
-    "FORMATS",
-    "NoScaleError",
-    "Pair",
-    "Scene",
-    "SceneFrame",
-    "SceneSource",
-    "choose_pairs",
-    "find_scenes",
-    "in_tours",
-    "still_region_of",
-    "tours_of_photographs",
-]
+from omnisyn_cli.evaluation.datasets.layouts import carla_scenes, habitat_scenes, own_scenes, zind_scenes
+from omnisyn_cli.evaluation.datasets.sources import SceneSource
 
 Finder = Callable[[Path], list[SceneSource]]
 
@@ -49,20 +18,12 @@ FORMATS: Mapping[str, Finder] = {
 }
 """What finds the scenes of a folder, by the name of the layout; tried in this order."""
 
-EXPECTED_FILES = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
-"""By which the layouts are recognised, for messages."""
-
 
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:
-    """The scenes of a folder.
+    """The scenes of a folder of scenes, or a single one; ``auto`` is the first layout that finds something.
 
-    Args:
-        folder: of scenes, or a single scene.
-        layout: a key of :data:`FORMATS`, or ``auto``: the first one that finds something.
-        allow_outside: whether a ``poses.json`` may name depth and masks outside of its folder.
-
-    Raises:
-        InputError: there is no such folder, or no scene in it.
+    With ``allow_outside`` a ``poses.json`` may name depth and masks outside of its folder.
+    InputError: there is no such folder, or no scene in it.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got none; check the name")
@@ -70,5 +31,6 @@ def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = Fal
     for name in finders if layout == "auto" else (layout,):
         if scenes := finders[name](folder):
             return scenes
-    wanted = EXPECTED_FILES if layout == "auto" else f"the layout '{layout}'"
+    known_by = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
+    wanted = known_by if layout == "auto" else f"the layout '{layout}'"
     raise InputError(f"{folder}: expected scenes with {wanted}, got none; check the folder and --format")

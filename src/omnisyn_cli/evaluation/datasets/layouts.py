@@ -59,9 +59,7 @@ PHOTOGRAPHS = "*.[jJ][pP]*[gG]"
 def own_scenes(folder: Path, *, allow_outside: bool = False) -> list[SceneSource]:
     """The scenes of a folder, by name; none where nothing has this layout.
 
-    Args:
-        folder: of scenes, or a single scene.
-        allow_outside: whether depth and masks of a scene may lie outside of its folder.
+    With ``allow_outside`` depth and masks of a scene may lie outside of its folder.
     """
     return [
         SceneSource(name, partial(_own_frames, scene, allow_outside))
@@ -125,9 +123,8 @@ def _fail(error: PoseError) -> Never:
 
 def _room_frames(folder: Path, floor: str, panoramas: dict[str, Panorama], scale: float | None) -> Iterable[SceneFrame]:
     if scale is None:
-        raise NoScaleError(
-            f"{folder / ZIND_FILE_NAME}: expected metres per coordinate of {floor}, got null; choose other floors"
-        )
+        path = folder / ZIND_FILE_NAME
+        raise NoScaleError(f"{path}: expected metres per coordinate of {floor}, got null; choose other floors")
     for key in sorted(panoramas, key=natural_key):
         yield SceneFrame(key, folder / panoramas[key].image_path, pose_on_floor(panoramas[key], scale))
 
@@ -233,15 +230,8 @@ def tours_of_photographs(
 ) -> list[SceneSource]:
     """A scene for each pair that is chosen, with its photographs between; all of a folder, or of the folders in it.
 
-    Poses and masks are those of ``poses.json`` beside the photographs. Without one, poses are estimated for each scene
-    when it is read. Its unit of length is unknown then.
-
-    Args:
-        folder: of photographs, or of folders of them.
-        choose: pairs by the names or the order of the photographs.
-        threads: at most this many; None is one per core.
-        allow_outside: whether a ``poses.json`` may name masks outside of its folder.
-
+    Poses and masks are those of ``poses.json`` beside the photographs; with ``allow_outside`` it may name masks outside
+    of its folder. Without one, poses are estimated for each scene when it is read. Its unit of length is unknown then.
     InputError: there are none; a ``poses.json`` is damaged; or a pair that was chosen is not there.
     """
     scenes = []

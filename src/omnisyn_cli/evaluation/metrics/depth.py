@@ -46,21 +46,20 @@ def depth_metrics(
     * ``delta_105``: share of the pixels with max(p/g, g/p) < 1.05; an infinite estimate is never among them.
       ``delta_110``, ``delta_125``, ``delta_125_squared``, ``delta_125_cubed``: the same for 1.10, 1.25, 1.25², 1.25³.
 
-    Args:
-        estimate: inverse depth, 1/m, >= 0; 0 is infinitely far.
-        truth: true inverse depth, 1/m; 0 is infinitely far, NaN unknown.
-        weighted: pixels count by their solid angle instead of alike.
+    Both maps are inverse depth, 1/m; 0 is infinitely far, and in the truth NaN unknown. If ``weighted``, pixels count
+    by their solid angle instead of alike.
 
     Source: the table of depth prediction in OmniSyn, whose δ columns have these five thresholds.
-
-    Raises:
-        ValueError: sizes differ, the estimate is negative or not finite where it is scored, or nothing is scored
-            (ask :func:`scored_pixels` first).
+    ValueError: sizes differ, the estimate is negative or not finite where it is scored, or nothing is scored (ask
+    :func:`scored_pixels` first).
     """
     check_same_size(estimate, truth)
     scored = scored_pixels(truth)
     rho_p, rho_g = estimate[scored].astype(np.float64), truth[scored].astype(np.float64)
-    _check(rho_p)
+    if rho_p.size == 0:
+        raise ValueError("expected a true depth between 1 m and 50 m somewhere, got none; this pair has none to score")
+    if not (np.isfinite(rho_p).all() and rho_p.min() >= 0):
+        raise ValueError("expected finite inverse depth of at least 0, got another value; 0 stands for infinitely far")
     weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape)[scored] if weighted else None
 
     def mean(values: np.ndarray) -> float:
@@ -77,13 +76,6 @@ def depth_metrics(
     }  # fmt: skip
 
 
-def _check(rho: np.ndarray) -> None:
-    if rho.size == 0:
-        raise ValueError("expected a true depth between 1 m and 50 m somewhere, got none; this pair has none to score")
-    if not (np.isfinite(rho).all() and rho.min() >= 0):
-        raise ValueError("expected finite inverse depth of at least 0, got another value; 0 stands for infinitely far")
-
-
 def left_right_metrics(
     estimate: Float[np.ndarray, "height width"], truth: Float[np.ndarray, "height width"],
     stereo_valid: Bool[np.ndarray, "height width"],
@@ -91,12 +83,8 @@ def left_right_metrics(
     """Area without left-right consistent disparities, and the accuracy of depth there and elsewhere.
 
     ``unsure_area`` is that share of the scored pixels; ``within_5_unsure`` and ``within_5_sure`` are the shares of the
-    values within 5 % of the truth in it and in the rest; that of an empty area is missing.
-
-    Args:
-        estimate: inverse depth, 1/m, >= 0.
-        truth: true inverse depth, 1/m; 0 is infinitely far, NaN unknown; somewhere it is scored.
-        stereo_valid: where both directions of matching agreed.
+    values within 5 % of the truth in it and in the rest; that of an empty area is missing. Maps are those of
+    :func:`depth_metrics`, somewhere scored; ``stereo_valid`` is where both directions of matching agreed.
     """
     check_same_size(estimate, truth)
     scored, weights = _scored(truth)
@@ -118,12 +106,8 @@ def confidence_metrics(
     ``rank_correlation`` is Spearman's, of doubt (1 − confidence) and relative error: 1 where the less sure is always
     the more wrong. ``calibration_error`` is the mean over pixels of how far the mean confidence of their bin is from
     the share within 10 % there. The diagram has, for each bin with pixels, named by its middle, its share of the
-    pixels (``area``), the mean ``confidence``, and the shares ``within_5`` and ``within_10``.
-
-    Args:
-        estimate: inverse depth, 1/m, >= 0.
-        confidence: in [0, 1].
-        truth: true inverse depth, 1/m; 0 is infinitely far, NaN unknown; somewhere it is scored.
+    pixels (``area``), the mean ``confidence``, and the shares ``within_5`` and ``within_10``. Confidence is in [0, 1],
+    the other maps are those of :func:`depth_metrics`, somewhere scored.
 
     Source: Guo, Pleiss, Sun and Weinberger, On calibration of modern neural networks, 2017.
     """

@@ -20,10 +20,8 @@ Masks = Mapping[str, Bool[np.ndarray, "height width"]]
 PEAK = 1.0
 """The greatest value of an image."""
 
-SSIM_WINDOW = 11
-"""Pixels along the side of the Gaussian window (Wang et al., 2004)."""
-SSIM_SIGMA = 1.5
-"""Pixels: the Gaussian window of Wang et al., 2004."""
+SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
+"""Pixels along the side of the Gaussian window, and its standard deviation (Wang et al., 2004)."""
 
 LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
 CONTRAST_FLOOR = (0.03 * PEAK) ** 2
@@ -142,12 +140,7 @@ def kind_figures(image: Picture, truth: Picture, kinds: Masks) -> dict[str, dict
 
     ``psnr`` is the peak signal-to-noise ratio in dB of the pixels of a kind, ``area`` their share of the sphere,
     ``error`` their share of the squared error of the whole picture (0 where that has none). Pixels count by their
-    solid angle.
-
-    Args:
-        image: RGB in [0, 1].
-        truth: RGB in [0, 1], of the same size.
-        kinds: where pixels of each kind are; kinds may overlap.
+    solid angle; kinds may overlap.
     """
     squared = squared_error(image, truth).mean(axis=-1)
     weights = np.broadcast_to(row_weights(len(truth))[:, None], squared.shape)

@@ -19,9 +19,6 @@ FACES = (FORWARD, -FORWARD, *np.eye(3)[:2], *-np.eye(3)[:2])
 SMALLEST_FACE = 64
 """Pixels; a network of five poolings has nothing left of less."""
 
-MODEL_INPUTS = "two float images (batch, 3, height, width) in [-1, 1]"
-"""What an LPIPS network has to take, for messages."""
-
 
 class Lpips:
     """LPIPS of two panoramas; 0 for equal ones, smaller is better.
@@ -33,13 +30,8 @@ class Lpips:
     Source: Zhang, Isola, Efros, Shechtman and Wang, The unreasonable effectiveness of deep features as a perceptual
     metric, 2018.
 
-    Args:
-        path: of an ONNX file with two inputs, each a float image ``(batch, 3, height, width)`` in [-1, 1], whose first
-            output is the distance (of any shape; it is averaged).
-        threads: cap on the processor threads of one operation; None = all.
-
-    Raises:
-        InputError: the file cannot be loaded or has other inputs.
+    The ONNX file has two inputs, each a float image ``(batch, 3, height, width)`` in [-1, 1]. Its first output is the
+    distance (of any shape; it is averaged). InputError: it cannot be loaded or has other inputs.
     """
 
     def __init__(self, path: Path, *, threads: int | None = None) -> None:
@@ -48,16 +40,17 @@ class Lpips:
         inputs = self._session.get_inputs()
         if len(inputs) != 2 or not all(_is_image(entry) for entry in inputs):
             got = ", ".join(f"{entry.name}: {entry.type} {tuple(entry.shape)}" for entry in inputs)
-            raise InputError(f"{path}: expected {MODEL_INPUTS}, got {got}; export the network with two image inputs")
+            raise InputError(
+                f"{path}: expected two float images (batch, 3, height, width) in [-1, 1], got {got}; export the "
+                "network with two image inputs"
+            )
         self._names = [entry.name for entry in inputs]
         self._face_size = inputs[0].shape[2:]  # what is not fixed is a name or None
 
     def __call__(self, image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
         """Mean distance of the six faces of two equirectangular RGB pictures in [0, 1].
 
-        Raises:
-            ValueError: the pictures differ in size.
-            InputError: the network fails on the faces.
+        ValueError: the pictures differ in size; InputError: the network fails on the faces.
         """
         check_same_size(image, truth)
         face_side = max(SMALLEST_FACE, len(image) // 2)

@@ -12,10 +12,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export import site as sites
+from omnisyn_cli.interpolation.export.datasets import Points, joined, ply_points, ply_splats, points_of
 from omnisyn_cli.interpolation.export.formats import FORMATS, MAX_CLIP_ROWS, ExportPlan, ExportSummary
-from omnisyn_cli.interpolation.export.glb import GltfModel
-from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
-from omnisyn_cli.interpolation.export.triangulation import textured_mesh
+from omnisyn_cli.interpolation.export.glb import GltfModel, textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.interpolation.loading import (

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import ConfigDict, TypeAdapter
 
@@ -71,10 +71,6 @@ class Figures:
         """Mean over pairs in dB."""
         return fmean(self.scores.values()) if self.scores else None
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
-
 
 FIGURES = TypeAdapter(Figures)
 """Makes figures of the plain values again."""
@@ -128,7 +124,7 @@ def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
 
 def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
     """Write all figures as JSON over what is there; WriteError: the disk is full, or there is no such folder."""
-    done = [figures.to_json() for figures in measured if figures.status == "done"]
+    done = [asdict(figures) for figures in measured if figures.status == "done"]
     content = {"version": TABLE_VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
     text = json.dumps(content, allow_nan=False).replace('{"setting"', '\n{"setting"')  # a line for each
     write_parts(path, [f"{text}\n".encode()])

@@ -77,13 +77,8 @@ class TourPacker:
     """Packs the pairs of a tour.
 
     Inside a chain a panorama may have a surface of its own in both its pairs, as its video has. Elsewhere it has one,
-    and one more for each pair whose surfaces are soft.
-
-    Args:
-        plan: of the tour.
-        texture: columns that photographs have at most.
-        is_lossless: whether they are kept as PNG instead of JPEG.
-        folder: where blocks are written; None holds them.
+    and one more for each pair whose surfaces are soft. Photographs have at most ``texture`` columns and are JPEG, or
+    PNG if ``is_lossless``. Blocks are written into the folder, or held where there is none.
     """
 
     def __init__(
