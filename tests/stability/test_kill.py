@@ -33,19 +33,12 @@ print(train(TINY, config, Path(sys.argv[2]), steps=6).step)
 
 @dataclass(frozen=True)
 class Case:
-    """A command that writes.
+    """A command that writes."""
 
-    Attributes:
-        prepare: makes its inputs in a folder.
-        command: of a fresh run.
-        again: of a run after one that was killed; without --overwrite where nothing or everything is there then.
-        is_same_bytes: whether equal runs write equal files.
-    """
-
-    prepare: Callable[[Path], object]
-    command: list[str]
-    again: list[str]
-    is_same_bytes: bool = True
+    prepare: Callable[[Path], object]  # makes its inputs in a folder
+    command: list[str]  # of a fresh run
+    again: list[str]  # of one after a kill; without --overwrite where nothing or everything is there then
+    is_same_bytes: bool = True  # whether equal runs write equal files
 
 
 def _hall(folder: Path) -> None:
@@ -85,21 +78,13 @@ INTERPOLATE = command_line(
 )  # fmt: skip
 
 MAKE = command_line("scenes", "make", "out", "--count", 2, "--size", "128x64", "--frames", 2, "--threads", 1, "-q")
-
 EVAL = command_line("eval", "scenes", "--report", "report", "--methods", "crossfade,oracle-depth", "--threads", 1, "-q")
-
 PAIR = ("p0.png", "p1.png", "--poses", "poses.json", "--threads", 1, "-q")
-
 EXPORT = command_line("export", *PAIR, "-o", "out", "--format", "colmap")
-
 VIEW = command_line("view", *PAIR, "-o", "walk.html")
-
 FOLDER = command_line("view", *PAIR, "-o", "walk", "--folder")
-
 FRAMES = command_line("interpolate", *PAIR, "-o", "frames", "--frames", 12)
-
 ESTIMATE = command_line("poses", "estimate", "first.png", "second.png", "--baseline", 1, "-o", "poses.json", "-q")
-
 BATCH = command_line("batch", "jobs.jsonl", "-o", "out", "--workers", 1, "-q")
 
 CASES = {
