@@ -119,6 +119,15 @@ def test_colours_of_almost_no_weight_are_not_shown() -> None:
         np.testing.assert_array_equal(fuse(first, second, t), second.colour[..., :3])
 
 
+def test_colours_beyond_white_pass_and_below_black_do_not() -> None:
+    """Bicubic lookup overshoots; floating-point panoramas are brighter than 1."""
+    first, second = rendering(1, 0.3), rendering(2, 0.3)
+    first.colour[..., 0], first.colour[..., 1] = 5.0, -0.2
+    fused = fuse(first, second, 0.0)
+    np.testing.assert_array_equal(fused[..., 0], 5.0)
+    np.testing.assert_array_equal(fused[..., 1], 0.0)
+
+
 def test_a_hole_beside_a_near_thing_shows_what_is_behind_it() -> None:
     """To its left a near red thing, to its right a far green wall: nobody saw the hole, so it is wall."""
     rho = np.where(np.arange(SIZE[1]) < SIZE[1] // 2, 0.5, 0.05) * np.ones(SIZE)

@@ -86,6 +86,18 @@ def test_a_minified_image_that_is_read_between_its_texels_stays_sharp(ratio):
     assert 0.75 < 2.0 * amplitude < 1.0
 
 
+def test_alpha_is_the_mask_and_trust_multiplies_it():
+    mask = np.ones((16, 32), bool)
+    mask[:, :8] = False
+    confidence = np.full((16, 32), 0.25, np.float32)
+    mesh = build_mesh(smooth(16, 32), WHOLE, confidence=confidence)
+    fragments = rasterize(mesh, Pose.identity(), (16, 32))
+    found = shade(fragments.inverse_depth, mesh, make_texture(noise(16, 32), mask), Pose.identity())[..., 3]
+    quads = fragments.face < 8 * mesh.quads.size
+    np.testing.assert_allclose(found[quads & mask], 0.25, atol=1e-4)
+    np.testing.assert_allclose(found[~mask], 0.0, atol=1e-4)
+
+
 def test_a_sky_at_infinity_only_turns():
     image, shader, rotation = noise(16, 32), Shader((24, 48)), turn(0.3, -0.2, 1.0)
     found = shader.shade_at_infinity(make_texture(image), moved(5.0, -3.0, 2.0, rotation=rotation))
