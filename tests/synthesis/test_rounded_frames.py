@@ -124,10 +124,8 @@ def test_triangles_are_counted_and_the_switch_draws_them_all() -> None:
 def test_fewer_triangles_are_looked_for_where_frames_pay_for_it(tmp_path: Path) -> None:
     """Unless the user says otherwise,."""
     images = write_hall(tmp_path, [posed([0.0, 0.0, z]) for z in (0.5, 0.0, -0.5)])
-    usual = {
-        hall_frames: plan_interpolation(job_of(tmp_path, images, hall_frames=hall_frames)) for hall_frames in (64, 65)
-    }
+    usual = {frames: plan_interpolation(job_of(tmp_path, images, frames=frames)) for frames in (64, 65)}
     assert [plan.config.adaptive for plan in usual.values()] == [False, True]
     for adaptive in (True, False):
-        asked = plan_interpolation(job_of(tmp_path, images, hall_frames=64, adaptive=adaptive))
+        asked = plan_interpolation(job_of(tmp_path, images, frames=64, adaptive=adaptive))
         assert asked.config.adaptive == with_preset(asked, "fast").config.adaptive == adaptive
