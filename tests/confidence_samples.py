@@ -18,21 +18,13 @@ TRUE_DEPTH = RunConfig(DepthSource("file"))
 
 @dataclass(frozen=True)
 class Judged:
-    """A pair's confidence, and the truth about it.
-
-    Attributes:
-        name: of the pair.
-        score: of its frames.
-        expected: WS-PSNR in dB that it expects of them.
-        true: WS-PSNR of its frame half way.
-        calibration_error: of the confidence of its depth, mean of both views; None where it is the same everywhere.
-    """
+    """A pair's confidence, and the truth about it."""
 
     name: str
-    score: float
-    expected: float
-    true: float
-    calibration_error: float | None
+    score: float  # of its frames
+    expected: float  # WS-PSNR in dB that it expects of them
+    true: float  # WS-PSNR of its frame half way
+    calibration_error: float | None  # of its depth's confidence, mean of both views; None where that is constant
 
 
 def generated_views(kind: str, seed: int, baseline: float, size: tuple[int, int]) -> list[View]:

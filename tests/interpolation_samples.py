@@ -15,7 +15,6 @@ from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from synthesis_samples import posed
 
 T = TypeVar("T", bound=TourJob)
-
 CHAIN = [posed((0, 0, 0.6)), posed((0.1, 0.1, 0), 0.4), posed((0.6, 0, -0.1), 0.8, 0.1)]
 
 

@@ -13,7 +13,6 @@ from omnisyn_cli.types import DepthEstimate, View
 
 RADIUS = 4.0
 SIZE = (64, 128)
-
 WAVES = np.array([[1.7, 0.4, -0.9], [-0.5, 1.3, 1.1], [0.8, -1.1, 1.4]])
 PHASES = np.array([0.3, 1.1, 2.0])
 

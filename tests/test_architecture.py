@@ -12,22 +12,10 @@ import omnisyn_cli
 ROOT = Path(omnisyn_cli.__file__).parent
 
 LAYERS = (
-    {"__main__"},
-    {"cli"},
-    {"training"},
-    {"evaluation"},
-    {"batch"},
-    {"interpolation"},
-    {"pipeline"},
-    {"baselines"},
-    {"synthesis"},
-    {"poses"},
-    {"io", "networks", "runtime", "scenes", "stereo", "render", "fusion"},
-    {"types"},
-    {"geometry"},
-    {"compute"},
-    {"errors"},
-)
+    {"__main__"}, {"cli"}, {"training"}, {"evaluation"}, {"batch"}, {"interpolation"}, {"pipeline"}, {"baselines"},
+    {"synthesis"}, {"poses"}, {"io", "networks", "runtime", "scenes", "stereo", "render", "fusion"}, {"types"},
+    {"geometry"}, {"compute"}, {"errors"},
+)  # fmt: skip
 """From the top to the bottom; what is in one set does not know each other."""
 
 MOST_ENTRIES = 24
@@ -42,21 +30,12 @@ TORCH = (
 ONNX = ("omnisyn_cli.runtime", "omnisyn_cli.networks", "omnisyn_cli.training")
 
 FILE_MODULES = (
-    "omnisyn_cli.io",
-    "omnisyn_cli.compute.kernel_files",
-    "omnisyn_cli.poses.file",
-    "omnisyn_cli.poses.formats",
-    "omnisyn_cli.poses.entries",
-    "omnisyn_cli.poses.tour_file",
-    "omnisyn_cli.runtime.models",
-    "omnisyn_cli.runtime.monocular_session",
-    "omnisyn_cli.training",
-    "omnisyn_cli.evaluation",
-    "omnisyn_cli.interpolation.planning",
-    "omnisyn_cli.batch",
-)
-"""The only ones that open files: io, machine code, models, answers of networks, checkpoints and data sets, and the
-records of a batch."""
+    "omnisyn_cli.io", "omnisyn_cli.compute.kernel_files", "omnisyn_cli.poses.file", "omnisyn_cli.poses.formats",
+    "omnisyn_cli.poses.entries", "omnisyn_cli.poses.tour_file", "omnisyn_cli.runtime.models",
+    "omnisyn_cli.runtime.monocular_session", "omnisyn_cli.training", "omnisyn_cli.evaluation",
+    "omnisyn_cli.interpolation.planning", "omnisyn_cli.batch",
+)  # fmt: skip
+"""The only ones that open files: io, machine code, models, answers that are kept, checkpoints, records of a batch."""
 
 LIGHT = {
     "atexit", "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools",
@@ -142,7 +121,6 @@ def modules() -> Iterator[Module]:
 
 
 MODULES = {module.name: module for module in modules()}
-
 every_module = pytest.mark.parametrize("module", MODULES.values(), ids=MODULES)
 
 

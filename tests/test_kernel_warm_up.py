@@ -67,18 +67,14 @@ def test_it_ends_with_the_first_one(started: list[subprocess.Popen[bytes]]) -> N
 
 
 @pytest.mark.parametrize(("threads", "is_kept"), [(1, False), (None, True)])
-def test_without_a_core_or_a_need_there_is_none(
-    started: list[subprocess.Popen[bytes]], monkeypatch: pytest.MonkeyPatch, threads: int | None, is_kept: bool
-) -> None:
+def test_without_a_core_or_a_need_there_is_none(started, monkeypatch, threads, is_kept) -> None:
     monkeypatch.setattr(kernel_warm_up, "is_on_disk", lambda kernel: is_kept)
     with compiling_beside(threads):
         pass
     assert started == []
 
 
-def test_where_it_cannot_be_started_everything_is_as_before(
-    started: list[subprocess.Popen[bytes]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_it_cannot_be_started_everything_is_as_before(started, monkeypatch) -> None:
     def refuse(folder: Path) -> subprocess.Popen[bytes]:
         raise WriteError(f"{folder}: full")
 

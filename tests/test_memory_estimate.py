@@ -8,7 +8,6 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from cli.cli_samples import Omnisyn
 from interpolation_samples import CHAIN, Hall, job_of, tour_job
 from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -17,7 +16,10 @@ from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 from omnisyn_cli.io import read_header, write_image
 from omnisyn_cli.pipeline.depth_sources import PRIOR_BYTES
 from omnisyn_cli.pipeline.fusions import FUSIONS
+from process_limits import STATUS
 from synthesis_samples import as_bytes, hall_image, posed, write_hall
+
+where_the_peak_is_told = pytest.mark.skipif(not STATUS.exists(), reason="nobody tells the peak of memory there")
 
 MEASURED = """
 import sys
@@ -52,7 +54,7 @@ def peak_of_interpolation(job: InterpolationJob, chosen: dict[str, str]) -> int:
     return peak_of([sys.executable, "-c", MEASURED, "interpolate", *map(str, [*job.images, *options])])
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="nobody tells the peak of memory there")
+@where_the_peak_is_told
 @pytest.mark.parametrize(
     ("count", "size", "chosen"),
     [
@@ -66,9 +68,7 @@ def peak_of_interpolation(job: InterpolationJob, chosen: dict[str, str]) -> int:
     ],
     ids=str,
 )
-def test_the_plan_is_within_a_fifth_of_the_peak(
-    tmp_path: Path, count: int, size: tuple[int, int], chosen: dict[str, str]
-) -> None:
+def test_the_plan_is_within_a_fifth_of_the_peak(tmp_path, count, size, chosen) -> None:
     """From photographs alone: with colours held and on demand, with and without networks and sharpening; of a tour."""
     images = write_hall(tmp_path, [posed((0, 0, 0.3 - 0.6 * k)) for k in range(count)], (256, 512), with_depth=False)
     frames = 2 * count - 1
@@ -80,7 +80,7 @@ def test_the_plan_is_within_a_fifth_of_the_peak(
     assert 0.8 * (planned - for_prior) < peak_of_interpolation(job, chosen) < 1.2 * planned
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="nobody tells the peak of memory there")
+@where_the_peak_is_told
 def test_a_pair_that_matching_leaves_open_takes_the_memory_of_the_network_for_it(tmp_path: Path) -> None:
     """Nothing can be matched but above 45° here."""
     poses = [posed((0, 0, 0.3)), posed((0, 0, -0.3))]
@@ -96,13 +96,11 @@ def test_a_pair_that_matching_leaves_open_takes_the_memory_of_the_network_for_it
     assert 0.8 < peak / planned < 1.2
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="nobody tells the peak of memory there")
+@where_the_peak_is_told
 @pytest.mark.parametrize(
     ("command", "output"), [(["view"], "a.html"), (["export", "--format", "colmap"], "set")], ids=["view", "colmap"]
 )
-def test_what_is_made_of_surfaces_takes_what_its_plan_says(
-    tmp_path: Path, command: list[str], output: str, omnisyn: Omnisyn
-) -> None:
+def test_what_is_made_of_surfaces_takes_what_its_plan_says(tmp_path, command, output, omnisyn) -> None:
     images = write_hall(tmp_path, [posed((0, 0, 0.3)), posed((0, 0, -0.3))], (1024, 2048), with_depth=False)
     words = [*command, *map(str, images), "-o", str(tmp_path / output), "--preset", "fast"]
     planned = omnisyn.json(*words, "--dry-run")["memory_mib"] * 2**20
@@ -136,11 +134,6 @@ def test_the_estimate_of_memory_grows_with_every_size(tmp_path: Path) -> None:
     write_image(small[0], np.zeros((512, 1024, 3), np.uint8))
     assert plan_interpolation(job_of(tmp_path, small, size=(1024, 2048))).memory > targets[2]
     assert 5e8 < plan_interpolation(job_of(tmp_path, small, size=(4096, 8192))).memory < 1e10
-
-
-def test_memory_grows_with_the_surfaces_and_their_renderer(pair: Hall) -> None:
-    sizes = [pair.plan(renderer=name).memory for name in ("mesh", "two-pass")]
-    assert sizes == sorted(set(sizes))
 
 
 def test_the_network_that_corrects_the_blend_takes_the_same_at_every_size(pair: Hall) -> None:

@@ -145,19 +145,8 @@ NOT_NOUNS = {
 """Adjectives, adverbs, numbers and prepositions that cannot name a constant by themselves."""
 
 NOUNS = {
-    "CUBED",
-    "EMBED",
-    "FORWARD",
-    "MANIFEST",
-    "RED",
-    "SEED",
-    "SPEED",
-    "CHEST",
-    "REQUEST",
-    "TEST",
-    "TABLE",
-    "VARIABLE",
-}
+    "CUBED", "EMBED", "FORWARD", "MANIFEST", "RED", "SEED", "SPEED", "CHEST", "REQUEST", "TEST", "TABLE", "VARIABLE",
+}  # fmt: skip
 """What :data:`NOT_A_NOUN` mistakes for something else."""
 
 NOT_A_NOUN = re.compile(r"\w+(ED|EST|ABLE|IBLE|LESS|FUL|OUS|WARD)")

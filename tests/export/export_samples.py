@@ -15,9 +15,7 @@ OPENCV = np.diag([1.0, -1.0, -1.0])
 """Our axes and those of OpenCV, either way: x stays, y and z turn round."""
 
 
-def job_in(
-    folder: Path, output: str, *, chain: Sequence[Pose] = CHAIN, suffix: str = ".png", **options: object
-) -> ExportJob:
+def job_in(folder: Path, output: str, *, chain: Sequence[Pose] = CHAIN, **options: object) -> ExportJob:
     """Panoramas of the hall with their depth; two of the usual three are turned, and one is held askew as well."""
     images = write_hall(folder, chain)
     return tour_job(ExportJob, folder, images, output, **options)

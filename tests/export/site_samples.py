@@ -30,7 +30,6 @@ LANDMARKS = {
 """Colour, and yaw and pitch in degrees from north, of what is infinitely far."""
 
 NEIGHBOUR = (20, 220, 235)
-
 LANDMARK_RADIUS, NEIGHBOUR_RADIUS = np.radians(4.0), np.radians(2.5)
 
 

@@ -37,9 +37,16 @@ def document_of(path: Path) -> dict:
     return json.loads(data[20 : 20 + length])
 
 
-def test_nodes_stand_where_panoramas_were_taken_and_surfaces_where_the_wall_is(tmp_path: Path) -> None:
-    exported(tmp_path, "hall.glb")
-    scene = scene_of(tmp_path / "hall.glb")
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The usual three panoramas as a model, with small textures."""
+    folder = tmp_path_factory.mktemp("hall")
+    exported(folder, "hall.glb", texture=32)
+    return folder / "hall.glb"
+
+
+def test_nodes_stand_where_panoramas_were_taken_and_surfaces_where_the_wall_is(hall: Path) -> None:
+    scene = scene_of(hall)
     for index, pose in enumerate(CHAIN):
         node, name = scene.graph[f"p{index}.png"]
         np.testing.assert_allclose(node[:3, 3], pose.position, atol=1e-6)
@@ -49,10 +56,9 @@ def test_nodes_stand_where_panoramas_were_taken_and_surfaces_where_the_wall_is(t
         assert mesh.area == pytest.approx(4 * np.pi * RADIUS**2, rel=0.01)
 
 
-def test_a_vertex_has_the_texture_of_the_pixel_it_is_seen_at(tmp_path: Path) -> None:
+def test_a_vertex_has_the_texture_of_the_pixel_it_is_seen_at(hall: Path) -> None:
     """glTF's u grows with the column and v with the row, from the upper left corner; trimesh turns v over."""
-    exported(tmp_path, "hall.glb")
-    scene = scene_of(tmp_path / "hall.glb")
+    scene = scene_of(hall)
     for index in range(len(CHAIN)):
         _, name = scene.graph[f"p{index}.png"]
         mesh = scene.geometry[name]
@@ -65,20 +71,12 @@ def test_a_vertex_has_the_texture_of_the_pixel_it_is_seen_at(tmp_path: Path) -> 
         assert np.ptp(mesh.visual.uv[mesh.faces][..., 0], axis=1).max() < 0.3  # no triangle spans the whole picture
 
 
-def test_materials_are_unlit_and_have_the_photograph(tmp_path: Path) -> None:
-    exported(tmp_path, "hall.glb", texture=32)
-    document = document_of(tmp_path / "hall.glb")
+def test_materials_are_unlit_and_have_the_photograph(hall: Path) -> None:
+    document = document_of(hall)
     assert document["extensionsUsed"] == ["KHR_materials_unlit"]
     assert all("KHR_materials_unlit" in material["extensions"] for material in document["materials"])
-    for mesh in scene_of(tmp_path / "hall.glb").geometry.values():
+    for mesh in scene_of(hall).geometry.values():
         assert mesh.visual.material.baseColorTexture.size == (32, 16)
-
-
-def test_front_faces_look_at_the_panorama(tmp_path: Path) -> None:
-    exported(tmp_path, "hall.glb")
-    for mesh in scene_of(tmp_path / "hall.glb").geometry.values():
-        corners = mesh.triangles
-        assert (np.einsum("nx,nx->n", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) < 0).all()
 
 
 def stepped() -> Mesh:

@@ -50,9 +50,7 @@ def tour(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("viewer", VIEWERS)
-def test_a_site_is_complete_and_says_how_to_get_its_viewer(
-    viewer: str, tour: Path, tmp_path: Path, omnisyn: Omnisyn
-) -> None:
+def test_a_site_is_complete_and_says_how_to_get_its_viewer(viewer, tour, tmp_path, omnisyn) -> None:
     site = tmp_path / "it's a site"
     depth = ["--preset", "fast", "--threads", 1] if VIEWERS[viewer].has_depth else []
     made = omnisyn.made("export", tour, "--format", viewer, "-o", site, *depth)
@@ -170,7 +168,6 @@ def krpano_depth_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def krpano_numbers(element: ElementTree.Element | None, *names: str) -> np.ndarray:
-    assert element is not None
     return np.array([float(element.attrib[name]) for name in names])
 
 
@@ -187,7 +184,6 @@ def test_krpano_has_the_surface_where_it_is(krpano: Path) -> None:
     assert len(scenes) == len(CHAIN)
     for scene, pose in zip(scenes, CHAIN, strict=True):
         image, model = scene.find("image"), scene.find("image/depthmap")
-        assert model is not None
         assert model.attrib["axis"] == "+x+y+z"
         place = krpano_numbers(image, "ox", "oy", "oz")
         np.testing.assert_allclose(place / 100 * KRPANO_AXES, pose.position, atol=1e-4)

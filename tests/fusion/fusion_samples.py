@@ -1,5 +1,6 @@
 """Renderings that can be asked what else their photographs show."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -24,3 +25,12 @@ def plain_sampler(colour: float = 0.5) -> SourceSampler:
 def asked(view: Layer, colour: float = 0.5) -> Layer:
     """With such a sampler."""
     return replace(view, source_sampler=plain_sampler(colour))
+
+
+def neighbours(values: np.ndarray) -> Iterator[np.ndarray]:
+    """Of every pixel the one above, below, on the left and on the right; columns wrap, rows end."""
+    for step, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
+        moved = np.roll(values, step, axis)
+        if axis == 0:
+            moved[0 if step > 0 else -1] = values[0 if step > 0 else -1]
+        yield moved

@@ -148,28 +148,22 @@ def test_outside_of_what_moved_nothing_changes() -> None:
     np.testing.assert_allclose(found[far], without[far], atol=1e-4)
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.5, 1.0])
-def test_texture_that_is_a_little_displaced_is_no_ghost(shift: float) -> None:
-    first, second = rendering(wall()), rendering(wall(shift))
-    suppress(first, second, 0.5)
-    assert (first.colour[..., 3] == 1).all()
-    assert (second.colour[..., 3] == 1).all()
+LIGHT = 0.125 * np.cos(np.arange(SIZE[1]) * (2 * np.pi / SIZE[1]))[None, :, None]
+"""A quarter of the range from one side of the panorama to the other: vignetting, another sky."""
+
+THIN = np.abs(np.arange(SIZE[1]) - 150)[None, :] * np.ones(SIZE) < 2
 
 
-def test_light_that_differs_widely_is_no_ghost() -> None:
-    """A quarter of the range from one side of the panorama to the other: vignetting, another sky."""
-    slope = 0.125 * np.cos(np.arange(SIZE[1]) * (2 * np.pi / SIZE[1]))[None, :, None]
-    first, second = rendering(wall() + slope), rendering(wall() - slope)
-    suppress(first, second, 0.5)
-    assert (first.colour[..., 3] == 1).all()
-    assert (second.colour[..., 3] == 1).all()
-
-
-def test_a_thin_line_is_an_edge_and_no_thing() -> None:
-    line = np.abs(np.arange(SIZE[1]) - 150)[None, :] * np.ones(SIZE) < 2
-    first, second = rendering(with_ball(wall(), line)), rendering(wall())
-    suppress(first, second, 0.5)
-    assert (first.colour[..., 3] == 1).all()
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [*((wall(), wall(shift)) for shift in (0.0, 0.5, 1.0)), (wall() + LIGHT, wall() - LIGHT),
+     (with_ball(wall(), THIN), wall())],
+    ids=["alike", "half a pixel aside", "a pixel aside", "light that differs widely", "a thin line"],
+)  # fmt: skip
+def test_what_has_not_moved_is_no_ghost(first: np.ndarray, second: np.ndarray) -> None:
+    views = rendering(first), rendering(second)
+    suppress(*views, 0.5)
+    assert all((view.colour[..., 3] == 1).all() for view in views)
 
 
 def test_exchanging_the_views_exchanges_who_loses() -> None:

@@ -117,21 +117,6 @@ def test_shares_are_carried_to_the_frame_across_the_seam():
     np.testing.assert_allclose(mixed, plain + share * (1 - plain), atol=1e-5)
 
 
-def test_turning_everything_by_columns_turns_the_result():
-    """What fills the holes before the network has its say is tested by itself."""
-    turn, size = 10, (64, 128)  # taken close together: the geometric weights are the same in all directions
-    views = rendering(1, size, (0.0, 0.0, 5e-5)), rendering(2, size, (0.0, 0.0, -5e-5))
-    turned = [
-        asked(Layer.from_arrays(*(np.roll(x, turn, 1) for x in (v.inverse_depth, v.colour)), v.target_from_source))
-        for v in views
-    ]
-    shares = np.random.default_rng(0).uniform(0.0, 0.25, (4, 32, 64))
-    whole = np.roll(fuse(views, 0.4, Answers(shares)), turn, 1)
-    moved = fuse(turned, 0.4, Answers(np.roll(shares, turn // 2, -1)))
-    either = np.roll(np.logical_or(*seen(views)), turn, 1)
-    np.testing.assert_allclose(whole[either], moved[either], atol=1e-3)
-
-
 def test_means_over_blocks_count_what_is_seen_by_its_worth():
     view = rendering(3, (40, 72), holes=0.4)
     coarse, rho = np.empty((12, 20, 4), np.float32), np.empty((12, 20), np.float32)

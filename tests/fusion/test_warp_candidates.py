@@ -1,13 +1,19 @@
-"""Warp candidates: their depth hypotheses, their channels, and how they are mixed in."""
+"""Warp candidates: hypotheses, channels, how they are mixed in; and the paper's fusion, whose picture is the frame."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from fusion_samples import plain_sampler
+from test_residual_fuser import copy, geometric, pair
 
-from omnisyn_cli.fusion.blend_rule import LayerArrays
-from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
+from omnisyn_cli.baselines import direct_fuser
+from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
+from omnisyn_cli.fusion.input_builder import downsampled_pair
+from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, fusion_input_channels
+from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
 from omnisyn_cli.fusion.warp_candidates import (
     CANDIDATE_CHANNELS,
@@ -22,6 +28,10 @@ from omnisyn_cli.fusion.warp_candidates import (
     make_warp_candidates,
 )
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.networks.fusion import FUSION_VARIANTS
+from omnisyn_cli.training.losses import network_inputs
 from omnisyn_cli.types import Layer, SourceSampler
 
 SIZE = (32, 64)
@@ -51,42 +61,16 @@ def test_where_nothing_is_seen_at_all_points_are_infinitely_far():
     assert not depth_hypotheses(shown(-1.0), shown(-1.0)).any()
 
 
-def test_planes_say_what_the_photographs_show():
-    """Grey of one kind each; the second surface lies nearer than all points, the first one farther."""
-    gaps = [
-        lambda points, least, gap=gap: np.where(points >= 0, np.float32(gap), np.float32(0)) for gap in (-0.12, 0.5)
-    ]
-    source_samplers = [
-        SourceSampler(plain.sample_rows, plain.sample, gap)
-        for plain, gap in zip((plain_sampler(0.25), plain_sampler(0.75)), gaps, strict=True)
-    ]
+def test_planes_say_at_which_depths_photographs_are_looked_up():
+    """The second surface is everywhere, the first one on the left only."""
     half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
-    candidates = make_warp_candidates(
-        shown(half_seen), shown(0.4, colour=0.1), (source_samplers[0], source_samplers[1]), 4.0, threads=1
-    )
-    planes = candidates.channels
+    samplers = (plain_sampler(0.25), plain_sampler(0.75))
+    planes = make_warp_candidates(shown(half_seen), shown(0.4), samplers, 4.0, threads=1).channels
     assert planes.shape == (CANDIDATE_CHANNELS, 16, 32)
-
-    def plane(index):
-        return planes[index - INPUT_CHANNELS]
-
-    seen = np.arange(32) < 16
-    for k, (expected, counted) in enumerate(
-        [
-            *((0.75, seen), (0.75, seen), (0.75, seen), (0.25, seen), (1.0, seen), (0.0, seen)),  # from the second view
-            *((0.25, 1), (0.25, 1), (0.25, 1), (0.15, 1), (0.0, 1), (0.5, 1)),  # from the first
-        ]
-    ):
-        np.testing.assert_allclose(plane(CROSS_VIEW + k), np.broadcast_to(expected * counted, (16, 32)), atol=1e-6)
-    for k, expected in enumerate((0.25, 0.75, 0.25, 0.75)):
-        for channel in range(3):
-            np.testing.assert_allclose(plane(CANDIDATE_RGB + 3 * k + channel), expected, atol=1e-6)
-        np.testing.assert_allclose(plane(HYPOTHESIS_OCCLUSION + k), (-0.5, 1.0)[k % 2], atol=1e-6)
-    np.testing.assert_allclose(planes[CANDIDATE_DIFFERENCE - INPUT_CHANNELS :], 0.5, atol=1e-6)
-    inside, beyond = np.s_[:, 4:12], np.s_[:, 20:28]
-    np.testing.assert_allclose(plane(HYPOTHESIS_DEPTHS)[inside], np.sqrt(0.2 * 4), atol=1e-6)
-    np.testing.assert_allclose(plane(HYPOTHESIS_DEPTHS)[beyond], np.sqrt(0.4 * 4), atol=1e-6)
-    np.testing.assert_allclose(plane(HYPOTHESIS_DEPTHS + 1), np.sqrt(0.4 * 4), atol=1e-6)
+    farthest, nearest = planes[HYPOTHESIS_DEPTHS - INPUT_CHANNELS :][:2]
+    np.testing.assert_allclose(farthest[:, 4:12], np.sqrt(0.2 * 4), atol=1e-6)
+    np.testing.assert_allclose(farthest[:, 20:28], np.sqrt(0.4 * 4), atol=1e-6)
+    np.testing.assert_allclose(nearest, np.sqrt(0.4 * 4), atol=1e-6)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -105,16 +89,19 @@ def test_planes_are_means_over_blocks_of_what_is_seen(threads):
         return blocks / np.maximum(np.broadcast_to(counts, SIZE).reshape(16, 2, 32, 2).sum(axis=(1, 3)), 1)
 
     told, seen, half = np.clip(gaps / 0.24, -1, 1), first.inverse_depth >= 0, np.abs(colours - 0.5)[..., :3].mean(-1)
-    expected = [
-        *(means(colours[1, ..., k], seen) for k in range(3)),
-        *(means(each, seen) for each in (half[1], np.maximum(told[1], 0), np.maximum(-told[1], 0))),
-        *(means(colours[0, ..., k]) for k in range(3)),
-        *(means(each) for each in (half[0], np.maximum(told[0], 0), np.maximum(-told[0], 0))),
-        *(2 * [means(colours[view, ..., k]) for view in (0, 1) for k in range(3)]),
-    ]
-    np.testing.assert_allclose(planes[:24], expected, atol=1e-6)
-    np.testing.assert_allclose(planes[26:30], 2 * [means(each) for each in told], atol=1e-6)
-    np.testing.assert_allclose(planes[30:], 2 * [means(np.abs(colours[0] - colours[1])[..., :3].mean(-1))], atol=1e-6)
+    expected = {
+        CROSS_VIEW: [
+            *(means(colours[1, ..., k], seen) for k in range(3)),
+            *(means(each, seen) for each in (half[1], np.maximum(told[1], 0), np.maximum(-told[1], 0))),
+            *(means(colours[0, ..., k]) for k in range(3)),
+            *(means(each) for each in (half[0], np.maximum(told[0], 0), np.maximum(-told[0], 0))),
+        ],
+        CANDIDATE_RGB: 2 * [means(colours[view, ..., k]) for view in (0, 1) for k in range(3)],
+        HYPOTHESIS_OCCLUSION: 2 * [means(each) for each in told],
+        CANDIDATE_DIFFERENCE: 2 * [means(np.abs(colours[0] - colours[1])[..., :3].mean(-1))],
+    }
+    for channel, values in expected.items():
+        np.testing.assert_allclose(planes[channel - INPUT_CHANNELS :][: len(values)], values, atol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.uint8])
@@ -177,3 +164,75 @@ def test_photographs_are_asked_in_the_exposure_of_the_frame():
         np.testing.assert_allclose(view.source_sampler.sample(points), view.colour, atol=1e-6)
         view.source_sampler.sample_rows(points[4:12], 4, rows)
         np.testing.assert_allclose(rows, view.colour[4:12], atol=1e-6)
+
+
+class RecordingNetwork:
+    """Stands in for the network: answers with a picture, or with the first view; remembers what it was shown."""
+
+    def __init__(self, picture=None):
+        self.picture, self.shown = picture, []
+
+    def __call__(self, channels):
+        self.shown.append(channels.copy())
+        return channels[:3].copy() if self.picture is None else self.picture
+
+
+def predict(views, network, t=0.5, threads=1):
+    size = views[0].inverse_depth.shape
+    return DirectFuser(size, network, threads)(*map(copy, views), t).copy()
+
+
+@pytest.mark.parametrize(("size", "most"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
+def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
+    """Against the planes that training takes from a pool, which another module makes."""
+    monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", most)
+    views, network = pair(size), RecordingNetwork()
+    predict(views, network)
+    first, second = downsampled_pair(LayerPair(*views), (64, 128), LayerPairShader(size, 1))
+    rule = BlendRule.at(0.5)
+    recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
+    assert len(recorded) == INPUT_CHANNELS
+    expected = network_inputs(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
+    np.testing.assert_array_equal(network.shown[0], expected)
+    assert {0.0, 1.0} == set(np.unique(network.shown[0][6:]))
+
+
+def test_at_its_own_size_the_picture_is_the_frame_within_the_range_of_colours():
+    picture = np.random.default_rng(0).uniform(-0.5, 1.5, (3, 64, 128)).astype(np.float32)
+    found = predict(pair((64, 128)), RecordingNetwork(picture))
+    np.testing.assert_array_equal(found, picture.transpose(1, 2, 0).clip(0, 1))
+
+
+def test_it_paints_from_the_first_frame_to_the_last():
+    """Nothing fades towards the ends: the authors' network is not told how far the way is."""
+    views, picture = pair((64, 128)), np.full((3, 64, 128), 0.25, np.float32)
+    for t in (0.002, 0.5, 0.998):
+        assert (predict(views, RecordingNetwork(picture), t) == 0.25).all()
+
+
+def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
+    monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", 64)
+    picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
+    found = predict(pair((200, 400)), RecordingNetwork(picture.transpose(2, 0, 1)))
+    expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))
+    np.testing.assert_allclose(found, expected, atol=0.02)  # OpenCV knows 32 places between two pixels
+    assert np.abs(found - expected).mean() < 0.005
+
+
+def test_from_one_place_views_are_cross_faded_without_the_network():
+    first, second = pair((64, 128))
+    views = first, Layer.from_arrays(second.inverse_depth, second.colour, first.target_from_source)
+    network = RecordingNetwork()
+    np.testing.assert_array_equal(predict(views, network), geometric(views, 0.5))
+    assert network.shown == []
+
+
+def test_frames_that_cannot_be_halved_often_enough_are_fused_by_rules():
+    views, network = pair((SIZE_MULTIPLE // 2, SIZE_MULTIPLE)), RecordingNetwork()
+    np.testing.assert_array_equal(predict(views, network), geometric(views, 0.5))
+    assert network.shown == []
+
+
+def test_threads_change_nothing():
+    views = pair((96, 192))
+    np.testing.assert_array_equal(predict(views, RecordingNetwork()), predict(views, RecordingNetwork(), threads=3))

@@ -22,11 +22,8 @@ NASTY_VALUES: tuple[Any, ...] = (
 )  # fmt: skip
 
 INTERESTING = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
-
 TOKEN = re.compile(rb'"[^"\n]{0,200}"|-?\d+(?:\.\d+)?(?:e-?\d+)?')
-
 PNG = b"\x89PNG\r\n\x1a\n"
-
 Change = Callable[[bytearray, random.Random], None]
 
 

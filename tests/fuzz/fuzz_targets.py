@@ -24,17 +24,11 @@ MEMORY = 256 << 20
 
 @dataclass(frozen=True)
 class Target:
-    """A reader under test.
+    """A reader under test."""
 
-    Attributes:
-        files: a folder of files that are read without complaint, by name.
-        broken: names of those that are made hostile, one at a time.
-        read: called with the folder; ends regularly or raises an error of the package.
-    """
-
-    files: Mapping[str, bytes]
-    broken: tuple[str, ...]
-    read: Callable[[Path], object]
+    files: Mapping[str, bytes]  # a folder of files that are read without complaint, by name
+    broken: tuple[str, ...]  # names of those that are made hostile, one at a time
+    read: Callable[[Path], object]  # called with the folder; ends regularly or raises an error of the package
 
 
 def targets() -> dict[str, Callable[[], Target]]:
@@ -401,11 +395,8 @@ def _authors() -> dict[str, bytes]:
 
 
 PICTURES = {"0.png": b"", "1.png": b""}
-
 NAMED = {"a.png": b"", "b.png": b""}
-
 ROWS = [{"pano_id": f"{n}", "location": {"lat": 48.1, "lng": 11.5}, "heading": 20 * n, "pitch": 0} for n in range(3)]
-
 SHOT = {"camera": "c", "rotation": [0.1, 0.2, 0.3], "translation": [1, 2, 3.5]}
 
 RECONSTRUCTION = {
@@ -428,7 +419,6 @@ ROOM = {
 }
 
 HOUSE = {"merger": {"f1": {"r1": {"q1": ROOM}}}, "scale_meters_per_coordinate": {"f1": 3.5}}
-
 PLACE = {"rot.txt": b"1 0 0\n0 1 0\n0 0 1\n", "tran.txt": b"0.5\n1\n-2\n", "rgb.png": b""}
 
 FOREIGN: dict[str, tuple[str, dict[str, bytes] | Callable[[], dict[str, bytes]]]] = {

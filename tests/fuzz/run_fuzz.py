@@ -89,7 +89,6 @@ def _lines_of_worker(seed: int, todo: dict[str, tuple[int, int]]) -> Iterator[st
 
 
 def _lines(worker: subprocess.Popen[bytes]) -> Iterator[str]:
-    assert worker.stdout is not None
     waiting, rest = selectors.DefaultSelector(), b""
     waiting.register(worker.stdout, selectors.EVENT_READ)
     while True:

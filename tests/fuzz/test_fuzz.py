@@ -8,7 +8,6 @@ import sys
 import tomllib
 import zlib
 from pathlib import Path
-from typing import Any
 
 import pytest
 from fuzz_mutations import PNG, mutated
@@ -35,30 +34,25 @@ def test_every_reader_reads_or_refuses_hostile_files() -> None:
     assert all(report.counts.total() == SHORT for report in reports.values())
 
 
-FOUND_LATER = {
-    "poses.json": (1286,), "batch jsonl": (1257,), "recipe toml": (1523,), "table of costs": (734, 868),
-    "mesh obj": (1042,), "poses nerfstudio": (256,),
+FOUND: dict[int, dict[str, tuple[int, ...]]] = {
+    9: {"poses opensfm": (724,)},
+    45: {
+        "recipe toml": (69, 100, 193, 303), "mesh obj": (78,), "mesh glb": (24, 306), "mesh ply": (217, 294),
+        "poses colmap": (263,), "poses colmap binary": (61, 96), "poses nerfstudio": (211,), "poses kitti": (202,),
+        "poses zind": (158,), "poses authors": (69,),
+    },
+    4500: {
+        "poses.json": (1286,), "batch jsonl": (1257,), "recipe toml": (1523,), "table of costs": (734, 868),
+        "mesh obj": (1042,), "poses nerfstudio": (256,),
+    },
+    45000: {"batch jsonl": (202, 1525), "poses nerfstudio": (1096,)},
 }  # fmt: skip
-"""Likewise of seed 4500; one of them names /dev/zero as a pose file."""
-
-FOUND_LAST = {"batch jsonl": (202, 1525), "poses nerfstudio": (1096,)}
-"""Likewise of seed 45000."""
-
-FOUND_ONCE_MORE = {"poses opensfm": (724,)}
-"""Likewise of seed 9."""
-
-FOUND = {
-    "recipe toml": (69, 100, 193, 303), "mesh obj": (78,), "mesh glb": (24, 306), "mesh ply": (217, 294),
-    "poses colmap": (263,), "poses colmap binary": (61, 96), "poses nerfstudio": (211,), "poses kitti": (202,),
-    "poses zind": (158,), "poses authors": (69,),
-}  # fmt: skip
-"""Files of seed 45 that once ended with another error or with a warning of numpy's."""
+"""Files, by seed, that once ended with another error or a warning of numpy's; one names /dev/zero as a pose file."""
 
 
 @pytest.mark.filterwarnings("ignore", "error::RuntimeWarning")
 def test_what_was_found_is_refused_in_a_sentence(tmp_path: Path) -> None:
-    by_seed = {45: FOUND, 4500: FOUND_LATER, 45000: FOUND_LAST, 9: FOUND_ONCE_MORE}
-    for seed, found in by_seed.items():
+    for seed, found in FOUND.items():
         for name, indices in found.items():
             target = targets()[name]()
             for index in indices:
@@ -135,9 +129,7 @@ VALUES = st.recursive(
 
 @BUSY
 @given(st.dictionaries(st.sampled_from([*ModelEntry.__dataclass_fields__, "else"]), VALUES))
-def test_any_entry_of_a_manifest_is_an_entry_or_an_input_error(
-    tmp_path_factory: pytest.TempPathFactory, entry: dict[str, Any]
-) -> None:
+def test_any_entry_of_a_manifest_is_an_entry_or_an_input_error(tmp_path_factory, entry) -> None:
     lines = [f"{key} = {json.dumps(value)}" for key, value in entry.items() if not isinstance(value, dict)]
     text = "\n".join(["version = 1", "[[models]]", *lines])
     folder = tmp_path_factory.mktemp("models")
@@ -152,9 +144,7 @@ def test_any_entry_of_a_manifest_is_an_entry_or_an_input_error(
 
 @BUSY
 @given(st.sampled_from([*UnitRecord.__dataclass_fields__, "else"]), VALUES)
-def test_any_record_is_a_record_or_an_input_error(
-    tmp_path_factory: pytest.TempPathFactory, key: str, value: Any
-) -> None:
+def test_any_record_is_a_record_or_an_input_error(tmp_path_factory, key, value) -> None:
     whole = UnitRecord("k", "s", "a", "b", "m", "done", baseline=1.0, size=(4, 8)).to_json()
     folder = tmp_path_factory.mktemp("report")
     (folder / RESULTS_NAME).write_text(json.dumps({**whole, key: value}) + "\n", encoding="utf-8")

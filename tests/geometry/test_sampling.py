@@ -1,14 +1,33 @@
+"""What is read between pixels, over the seam and the poles, by OpenCV too; borders, regions and turned panoramas."""
+
 import math
 
+import cv2
 import numpy as np
 import pytest
 import torch
-from geometry_samples import directions
+from geometry_samples import directions, rotations
 
-from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.geometry.sampling import grid_subsample, sample_bicubic, sample_bilinear, sample_nearest, wrap_pixel
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_to_direction
+from omnisyn_cli.geometry.pose import rotation_from_heading, rotation_from_rotation_vector
+from omnisyn_cli.geometry.regions import connected_regions
+from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.sampling import (
+    add_border,
+    add_columns,
+    filter_across_seam,
+    grid_subsample,
+    rotated_directions,
+    rotated_image,
+    sample_bicubic,
+    sample_bilinear,
+    sample_nearest,
+    window_max,
+    window_min,
+    wrap_pixel,
+)
+from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_pixel, pixel_directions, pixel_to_direction
 
+SIZE = (16, 32)
 SAMPLERS = [sample_nearest, sample_bilinear, sample_bicubic]
 
 
@@ -29,15 +48,6 @@ def test_wrapped_pixels_are_found_by_walking_over_the_poles_and_around():
     row, col = (grid.ravel() for grid in np.mgrid[-6:12, -20:20])
     expected = [unwrapped(image, i, j) for i, j in zip(row, col, strict=True)]
     np.testing.assert_array_equal(image[wrap_pixel(row, col, 6, 8)], expected)
-
-
-def test_pixels_beyond_a_pole_lie_on_the_same_meridian_on_the_other_side():
-    """The direction through a pixel outside the image is the direction of the pixel it wraps to."""
-    row, col = (grid.ravel() for grid in np.mgrid[-3:11, -4:20])
-    inside = wrap_pixel(row, col, 8, 16)
-    np.testing.assert_allclose(
-        pixel_to_direction(1.0 * row, 1.0 * col, (8, 16)), pixel_directions(8, 16)[inside], atol=1e-14
-    )
 
 
 @pytest.mark.parametrize("sample", SAMPLERS)
@@ -81,11 +91,6 @@ def test_bicubic_reproduces_ramps_and_parabolas_away_from_the_wraps():
 
 
 @pytest.mark.parametrize("sample", SAMPLERS)
-def test_a_constant_image_is_constant(sample):
-    np.testing.assert_allclose(sample(np.full((4, 8, 3), 0.7), directions()), 0.7, atol=1e-12)
-
-
-@pytest.mark.parametrize("sample", SAMPLERS)
 def test_rolling_the_image_and_turning_the_direction_cancel(sample):
     image, vectors = noise(8, 16, 2), directions()[:200]
     turned = vectors @ rotation_from_rotation_vector(np.array([0.0, -2 * math.pi * 3 / 16, 0.0])).T
@@ -114,3 +119,156 @@ def test_pixels_where_rows_and_columns_cross_are_those(rows, cols, channels):
     found = grid_subsample(image, np.array(rows), np.array(cols))
     np.testing.assert_array_equal(found, [[image[row, col] for col in cols] for row in rows])
     assert found.flags.c_contiguous
+
+
+@pytest.mark.parametrize("shape", [(6, 8), (4, 10, 3)])
+@pytest.mark.parametrize("border", [0, 1, 4])
+def test_a_border_is_found_by_walking_over_the_poles_and_around(shape, border):
+    image = noise(*shape)
+    height, width = shape[:2]
+    bordered = add_border(image, border)
+    assert bordered.shape[:2] == (height + 2 * border, width + 2 * border)
+    for row, col in np.ndindex(bordered.shape[:2]):
+        np.testing.assert_array_equal(bordered[row, col], unwrapped(image, row - border, col - border))
+
+
+@pytest.mark.parametrize("shape", [(6, 8), (4, 10, 3)])
+@pytest.mark.parametrize("columns", [0, 1, 4, 25])
+def test_added_columns_are_those_of_the_other_side(shape, columns):
+    image = noise(*shape)
+    expected = image[:, np.arange(-columns, shape[1] + columns) % shape[1]]
+    np.testing.assert_array_equal(add_columns(image, columns), expected)
+
+
+@pytest.mark.parametrize("turn", [1, 5, 11])
+def test_a_turned_image_is_filtered_as_if_it_were_not_turned(turn):
+    image = noise(8, 16, 3)
+
+    def blur(wide: np.ndarray) -> np.ndarray:
+        return cv2.blur(wide, (5, 3))
+
+    there = filter_across_seam(blur, np.roll(image, turn, axis=1), 2)
+    np.testing.assert_allclose(there, np.roll(filter_across_seam(blur, image, 2), turn, axis=1), atol=1e-12)
+    assert np.abs(blur(image)[:, 0] - filter_across_seam(blur, image, 2)[:, 0]).max() > 0.01
+
+
+def test_an_image_that_needs_nothing_from_over_the_seam_is_filtered_as_it_is():
+    image = noise(4, 6)
+    np.testing.assert_array_equal(filter_across_seam(np.negative, image, 0), -image)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(6, 12), (5, 10, 3)])
+@pytest.mark.parametrize("reach", [0, 1, 3])
+def test_window_extremes_equal_brute_force_across_the_seam(dtype, shape, reach):
+    """Beyond the poles nothing counts, however large or small values are."""
+    image = (200.0 * noise(*shape) + 20.0).astype(dtype)
+    height, width = shape[:2]
+    for row, col in np.ndindex(height, width):
+        rows = slice(max(row - reach, 0), row + reach + 1)
+        window = image[rows][:, np.arange(col - reach, col + reach + 1) % width]
+        np.testing.assert_array_equal(window_max(image, reach)[row, col], window.max(axis=(0, 1)))
+        np.testing.assert_array_equal(window_min(image, reach)[row, col], window.min(axis=(0, 1)))
+
+
+@pytest.mark.parametrize(("is_diagonal", "count"), [(True, 1), (False, 3)])
+def test_corners_join_regions_only_where_they_are_asked_to(is_diagonal: bool, count: int) -> None:
+    mask = np.zeros((4, 6), bool)
+    mask[[0, 1, 2], [5, 0, 1]] = True  # a diagonal across the seam
+    assert len(np.unique(connected_regions(mask, is_diagonal=is_diagonal)[mask])) == count
+
+
+@pytest.mark.parametrize("is_diagonal", [True, False])
+def test_turning_changes_no_region(is_diagonal: bool) -> None:
+    rng = np.random.default_rng(2)
+    for share in (0.2, 0.4, 0.6):
+        mask = rng.random((30, 50)) < share
+        found = connected_regions(mask, is_diagonal=is_diagonal)
+        turned = np.roll(connected_regions(np.roll(mask, 17, axis=1), is_diagonal=is_diagonal), -17, axis=1)
+        assert ((found > 0) == mask).all()
+        pairs = np.unique(np.stack([found[mask], turned[mask]]), axis=1)
+        assert len(pairs[0]) == len(np.unique(pairs[0])) == len(np.unique(pairs[1]))
+
+
+@pytest.mark.parametrize("index", [0, 7, 60, 130, 180])
+def test_both_cameras_mean_the_same_direction_of_the_world(index: int) -> None:
+    source, target = rotations()[index], rotations()[-1 - index]
+    in_world = rotated_directions(SIZE, source, target) @ source.T
+    np.testing.assert_allclose(in_world, pixel_directions(*SIZE) @ target.T, atol=1e-12)
+
+
+@pytest.mark.parametrize("columns", [0, 1, 5, 31])
+def test_looking_further_to_the_right_moves_what_is_seen_to_the_left(columns: int) -> None:
+    image, target = noise(*SIZE, 3), rotation_from_heading(columns / SIZE[1] * 2 * np.pi)
+    np.testing.assert_allclose(
+        rotated_image(image, np.eye(3), target, SIZE), np.roll(image, -columns, axis=1), atol=1e-5
+    )
+
+
+def test_a_larger_panorama_is_averaged_over_areas_and_a_smaller_one_is_not() -> None:
+    image = noise(64, 128, 3)
+    means = image.reshape(16, 4, 32, 4, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(rotated_image(image, np.eye(3), np.eye(3), SIZE), means, atol=1e-5)
+    np.testing.assert_allclose(rotated_image(image, np.eye(3), np.eye(3), (64, 128)), image, atol=1e-5)
+
+
+def test_what_is_seen_lies_where_it_belongs() -> None:
+    """A bright spot, seen by a camera that looks straight at it, is in the middle of its image."""
+    image = np.zeros((64, 128, 3), np.float32)
+    azimuth = 1.0
+    row, col = direction_to_pixel(angles_to_direction(np.array(azimuth), np.array(np.pi / 2)), (64, 128))
+    image[int(row) : int(row) + 2, round(float(col)) - 1 : round(float(col)) + 2] = 1.0
+    seen = rotated_image(image, np.eye(3), rotation_from_heading(azimuth), (64, 128))[..., 0]
+    assert seen.min() >= 0.0
+    assert seen.max() <= 1.0
+    rows, cols = np.nonzero(seen > 0.5)
+    assert abs(rows.mean() - 31.5) < 0.5
+    assert abs(cols.mean() - 63.5) < 0.75
+
+
+REMAP_SIZE = (24, 48)
+POLES_AND_SEAM = [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1e-9, 0.3, 1.0]]
+
+
+def looked_directions() -> np.ndarray:
+    """Random ones, of any length, with the singular ones."""
+    free = np.random.default_rng(0).normal(size=(40 * 50 - len(POLES_AND_SEAM), 3))
+    return np.concatenate([free, POLES_AND_SEAM]).reshape(40, 50, 3)
+
+
+def smooth(channels: int) -> np.ndarray:
+    """A picture of the sphere whose neighbouring pixels differ little, over the seam and the poles as well."""
+    waves = np.random.default_rng(1).normal(size=(3, channels))
+    return np.sin(2.0 * pixel_directions(*REMAP_SIZE) @ waves).astype(np.float32)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_interpolation_is_that_of_the_plain_form(channels: int) -> None:
+    image, looked = smooth(channels), RemapTable.for_directions(looked_directions(), REMAP_SIZE)
+    pairs = ((looked.bilinear, sample_bilinear, 0.02), (looked.bicubic, sample_bicubic, 0.05))
+    for read, plain, tolerance in pairs:
+        np.testing.assert_allclose(
+            read(image).reshape(40, 50, channels), plain(image, looked_directions()), atol=tolerance
+        )
+
+
+def test_the_nearest_pixel_is_that_of_the_plain_form() -> None:
+    """But for places within a thirtieth of a pixel of the line between two."""
+    image = np.arange(REMAP_SIZE[0] * REMAP_SIZE[1], dtype=np.float32).reshape(REMAP_SIZE)
+    is_same = RemapTable.for_directions(looked_directions(), REMAP_SIZE).nearest(image) == sample_nearest(
+        image, looked_directions()
+    )
+    assert is_same.mean() > 0.9
+
+
+def test_a_mask_stays_one() -> None:
+    mask, looked = smooth(1).reshape(REMAP_SIZE) > 0.5, RemapTable.for_directions(looked_directions(), REMAP_SIZE)
+    found = looked.nearest(mask)
+    assert found.dtype == np.bool_
+    np.testing.assert_array_equal(found, looked.nearest(mask.astype(np.float32)) > 0)
+
+
+def test_at_its_own_pixels_an_image_is_itself() -> None:
+    image, looked = smooth(3), RemapTable.for_directions(7.0 * pixel_directions(*REMAP_SIZE), REMAP_SIZE)
+    for read in (looked.nearest, looked.bilinear, looked.bicubic):
+        np.testing.assert_allclose(read(image), image, atol=1e-5)

@@ -41,3 +41,15 @@ def predict(network, given):
     with torch.no_grad():
         answer = network(given)
     return {"colour": answer} if isinstance(answer, torch.Tensor) else vars(answer)
+
+
+def losses_of(network, loss_of, steps=30):
+    """Losses while a network learns from one example."""
+    optimizer, losses = torch.optim.Adam(network.parameters(), lr=3e-3), []
+    for _ in range(steps):
+        loss = loss_of()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    return losses

@@ -53,6 +53,15 @@ def matches_of(
     return Matches(noisy[0], noisy[1], PIXEL)
 
 
+def random_pair(
+    seed: int, count: int = 300, noise: float = 0.2 * PIXEL, wrong: float = 0.0
+) -> tuple[Pose, Pose, Matches]:
+    """Two cameras anywhere and their matches."""
+    rng = np.random.default_rng(seed)
+    first, second = random_pose(rng), random_pose(rng)
+    return first, second, matches_of(rng, first, second, count, noise, wrong)
+
+
 SPACING = (0.4, 1.3, 0.7, 2.0)
 
 

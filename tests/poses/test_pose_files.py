@@ -17,11 +17,8 @@ from omnisyn_cli.interpolation.inputs import named_tour
 from omnisyn_cli.poses.file import PosedPanorama, PoseUncertainty, distinct_names, read_poses, write_poses
 
 RIGID = {"position": [0, 0, 0], "rotation": [1, 0, 0, 0]}
-
 PLACE = {"latitude": 48.1, "longitude": 11.5, "altitude": 520.0, "heading": 93.0}
-
 EYE = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-
 numbers = st.floats(-1e6, 1e6)
 
 

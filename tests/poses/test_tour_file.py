@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.interpolation.inputs import along_path, named_tour
+from omnisyn_cli.interpolation.inputs import NamedTour, along_path, named_tour
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from omnisyn_cli.poses.tour import Tour, chain_links, links_between
 from omnisyn_cli.poses.tour_file import read_tour
@@ -97,7 +97,6 @@ def test_all_that_may_be_written_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(right.direction_from(door.pose), [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(clock.direction_from(door.pose), [0, 0.5**0.5, -(0.5**0.5)], atol=1e-12)
     assert clock.image == tmp_path / "clock.jpg"
-    assert tour.plan is not None
     np.testing.assert_allclose(tour.plan.position_of(0.0, 30.0), [2, 1], atol=1e-9)
 
 
@@ -161,22 +160,23 @@ def test_links_of_the_pose_file_name_its_panoramas(tmp_path: Path) -> None:
         read_poses(tmp_path / "poses.json")
 
 
+def path_in(folder: Path, path: str) -> NamedTour:
+    tour_of(folder)
+    for name in PLACES:
+        (folder / f"{name}.jpg").write_bytes(b"")
+    return along_path(named_tour([folder]), path)
+
+
 @pytest.mark.parametrize(
     ("path", "names"), [("a,e", "abe"), ("a.jpg, c,d", "abcbd"), ("c,b", "cb")], ids=["two ends", "through", "a link"]
 )
 def test_a_path_goes_along_links(tmp_path: Path, path: str, names: str) -> None:
-    tour_of(tmp_path)
-    for name in PLACES:
-        (tmp_path / f"{name}.jpg").write_bytes(b"")
-    tour = along_path(named_tour([tmp_path]), path)
+    tour = path_in(tmp_path, path)
     assert ("".join(image.stem for image in tour.images), tour.is_chain) == (names, True)
     assert tour.output(".mp4") == Path(f"{names[0]}-{names[-1]}.mp4")
 
 
 @pytest.mark.parametrize(("path", "words"), [("a,z", "got 'z'; choose from"), ("a", "two or more"), ("", "got ''")])
 def test_a_path_that_is_none_is_refused(tmp_path: Path, path: str, words: str) -> None:
-    tour_of(tmp_path)
-    for name in PLACES:
-        (tmp_path / f"{name}.jpg").write_bytes(b"")
     with pytest.raises(InputError, match=words):
-        along_path(named_tour([tmp_path]), path)
+        path_in(tmp_path, path)

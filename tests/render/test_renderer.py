@@ -115,9 +115,3 @@ def test_a_view_does_not_depend_on_the_one_before(name):
     renderer(random_pose(63, 2.0))
     for before, again in zip(first, seen(renderer, pose), strict=True):
         np.testing.assert_array_equal(again, before)
-
-
-@everywhere
-def test_broken_inverse_depths_are_refused(name):
-    with pytest.raises(ValueError, match="finite"):
-        make_renderer(name, picture(4, 8), None, np.full((4, 8), np.nan), None, (4, 8))

@@ -1,13 +1,18 @@
+"""Textures are read as geometry reads them, minified ones are means; vectors against numpy, lane by lane."""
+
 import math
 
 import numpy as np
 import pytest
+from numba import njit
 from render_samples import POSES, WHOLE, moved, noise, rough, shade, smooth, turn
 
-from omnisyn_cli.compute.trigonometry import ATAN2_ERROR, atan2_fast
+from omnisyn_cli.compute.jit import kernel
+from omnisyn_cli.compute.trigonometry import ATAN2_ERROR, LOG2_ERROR, atan2_fast, log2_fast
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bicubic
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render import simd
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.shade import Shader
@@ -42,15 +47,12 @@ def test_magnified_textures_are_read_as_geometry_reads_them(pose):
     np.testing.assert_allclose(found[magnified, :3], sample_bicubic(image, directions)[magnified], atol=1e-4)
 
 
-def test_a_magnified_ramp_is_reproduced():
-    ramp = np.repeat(np.linspace(0, 1, 32, dtype=np.float32)[:, None, None], 64, axis=1) * np.ones(3, np.float32)
-    expected = np.interp((np.arange(96) + 0.5) / 3 - 0.5, np.arange(32), np.linspace(0, 1, 32))
-    found = shaded(ramp, smooth(8, 16), Pose.identity(), (96, 192))
-    np.testing.assert_allclose(found[6:-6, :, 0], np.broadcast_to(expected[6:-6, None], (84, 192)), atol=1e-5)
+def checkerboard(shape: tuple[int, int]) -> np.ndarray:
+    return np.repeat((np.indices(shape).sum(axis=0) % 2).astype(np.float32)[..., None], 3, axis=2)
 
 
 def test_a_minified_checkerboard_is_grey():
-    board = np.repeat((np.indices((128, 256)).sum(axis=0) % 2).astype(np.float32)[..., None], 3, axis=2)
+    board = checkerboard((128, 256))
     found = shaded(board, smooth(16, 32), Pose.identity(), (16, 32))
     np.testing.assert_allclose(found[..., :3], 0.5, atol=1e-3)
     approached = shaded(board, np.full((16, 32), 0.5, np.float32), moved(0.0, 0.0, -1.9), (128, 256))
@@ -60,8 +62,7 @@ def test_a_minified_checkerboard_is_grey():
 
 @pytest.mark.parametrize("shape", [(129, 258), (130, 260), (127, 254)])
 def test_a_minified_checkerboard_of_an_odd_size_is_grey(shape):
-    board = np.repeat((np.indices(shape).sum(axis=0) % 2).astype(np.float32)[..., None], 3, axis=2)
-    found = shaded(board, smooth(16, 32), Pose.identity(), (16, 32))
+    found = shaded(checkerboard(shape), smooth(16, 32), Pose.identity(), (16, 32))
     assert found[..., :3].std() < 0.02
     assert found[..., :3].mean() == pytest.approx(0.5, abs=0.01)
 
@@ -97,33 +98,6 @@ def test_alpha_is_the_mask_and_trust_multiplies_it():
     np.testing.assert_allclose(found[~mask], 0.0, atol=1e-4)
 
 
-def test_what_sees_nothing_is_zero():
-    mesh, pose = build_mesh(np.full((16, 32), 0.5, np.float32)), moved(0.0, 0.0, -5.0)
-    fragments = rasterize(mesh, pose, (16, 32))
-    found = shade(fragments.inverse_depth, mesh, make_texture(noise(16, 32)), pose)
-    assert not fragments.visibility.all()
-    assert (found[~fragments.visibility] == 0).all()
-    assert np.isfinite(found).all()
-
-
-@pytest.mark.parametrize("shift", [1, 9])
-def test_rolling_image_and_mesh_and_turning_the_camera_back_changes_nothing(shift):
-    image, rho = noise(16, 32), smooth(16, 32)
-    back = turn(0.0, 2 * math.pi * shift / 32, 0.0)
-    pose = moved(0.2, 0.1, -0.4, rotation=turn(0.3, 0.2, 0.1))
-    one = shaded(image, rho, pose, (20, 40))
-    rolled = Pose(pose.rotation @ back, pose.position)
-    two = shaded(np.roll(image, shift, axis=1), np.roll(rho, shift, axis=1), rolled, (20, 40))
-    np.testing.assert_allclose(two, one, atol=2e-3)
-
-
-@pytest.mark.parametrize("threads", [2, 5])
-def test_the_number_of_threads_changes_nothing(threads):
-    image, rho, pose = noise(32, 64), smooth(16, 32), moved(0.3, 0.2, -0.5)
-    one, many = (shaded(image, rho, pose, (31, 62), threads=n) for n in (1, threads))
-    np.testing.assert_array_equal(many, one)
-
-
 def test_a_sky_at_infinity_only_turns():
     image, shader, rotation = noise(16, 32), Shader((24, 48)), turn(0.3, -0.2, 1.0)
     found = shader.shade_at_infinity(make_texture(image), moved(5.0, -3.0, 2.0, rotation=rotation))
@@ -131,14 +105,136 @@ def test_a_sky_at_infinity_only_turns():
     np.testing.assert_allclose(found[..., :3], expected, atol=1e-4)
 
 
-def test_the_fast_arctangent_is_as_exact_as_it_says():
+@njit
+def atan2_of(y, x):
+    return np.array([atan2_fast(y[k], x[k]) for k in range(len(y))])
+
+
+@njit
+def log2_of(x):
+    return np.array([log2_fast(value) for value in x])
+
+
+def test_fast_functions_are_as_exact_as_they_say():
+    """They are only ever inlined into loops."""
     y, x = np.random.default_rng(21).normal(size=(2, 20_000)).astype(np.float32)
     y[:4], x[:4] = [0, 0, 1, -1], [1, -1, 0, 0]
-    from numba import njit  # the kernel is only ever inlined into loops
+    np.testing.assert_allclose(atan2_of(y, x), np.arctan2(y.astype(float), x.astype(float)), atol=ATAN2_ERROR)
+    assert atan2_of(np.zeros(1, np.float32), np.zeros(1, np.float32)) == [0.0]
+    near_one = np.linspace(0.5, 2.0, 10_001).astype(np.float32)
+    np.testing.assert_allclose(log2_of(near_one), np.log2(near_one.astype(float)), atol=LOG2_ERROR)
+    anything = np.exp(np.linspace(-40, 40, 1001)).astype(np.float32)
+    np.testing.assert_allclose(log2_of(anything), np.log2(anything.astype(float)), atol=1e-5)
 
-    @njit
-    def all_of(y, x):
-        return np.array([atan2_fast(y[k], x[k]) for k in range(len(y))])
 
-    np.testing.assert_allclose(all_of(y, x), np.arctan2(y.astype(float), x.astype(float)), atol=ATAN2_ERROR)
-    assert all_of(np.zeros(1, np.float32), np.zeros(1, np.float32)) == [0.0]
+def test_the_first_level_is_the_image_with_a_wrapped_border():
+    image = noise(8, 16)
+    texture = make_texture(image)
+    level = texture.texels[: 12 * 20 * 4].reshape(12, 20, 4)
+    np.testing.assert_array_equal(level[2:-2, 2:-2, :3], image)
+    np.testing.assert_array_equal(level[2:-2, 1, :3], image[:, -1])
+    np.testing.assert_array_equal(level[2:-2, -2, :3], image[:, 0])
+    np.testing.assert_array_equal(level[1, 2:-2, :3], np.roll(image[0], 8, axis=0))
+    np.testing.assert_array_equal(level[-1, 2:-2, :3], np.roll(image[-2], 8, axis=0))
+
+
+@pytest.mark.parametrize(("shape", "levels"), [((64, 128), 4), ((8, 16), 1), ((9, 18), 2), ((20, 40), 3), ((2, 4), 1)])
+def test_levels_end_at_eight_rows(shape, levels):
+    assert len(make_texture(noise(*shape)).layout) == levels
+
+
+@kernel(cache=False)
+def arithmetic(a, b, out):
+    x, y = simd.load(a, 1), simd.load(b, 1)
+    simd.store(out, 0, x + y)
+    simd.store(out, 8, x - y)
+    simd.store(out, 16, x * y)
+    simd.store(out, 24, x / y)
+    simd.store(out, 32, simd.to_float32(simd.to_float64(x) * simd.to_float64(y)))
+
+
+@kernel(cache=False)
+def choices(a, b, flags, bits, out):
+    x, y, one, zero = simd.load(a, 0), simd.load(b, 0), simd.broadcast(np.float32(1.0)), simd.broadcast(np.float32(0.0))
+    simd.store(out, 0, simd.where(x >= y, one, zero))
+    simd.store(out, 8, simd.where(x > y, one, zero))
+    simd.store(out, 16, simd.where((x >= y) & (y > zero), one, zero))
+    simd.store(out, 24, simd.where((x > y) | (y > x), one, zero))
+    simd.store(out, 32, simd.where(simd.has_bits(flags, 3, bits), one, zero))
+
+
+@kernel(cache=False)
+def halves(a, out, numbers):
+    x = simd.load_halves(a, 2, 11)
+    simd.store(out, 0, x)
+    simd.store(out, 16, simd.pair(np.float32(3.0), np.float32(4.0)))
+    simd.store_halves(out, 36, 28, x)
+    simd.store_halves(numbers, 4, 0, simd.load_halves(numbers, 0, 4))
+
+
+@pytest.fixture
+def two() -> np.ndarray:
+    return np.random.default_rng(0).uniform(0.5, 2.0, (2, 32)).astype(np.float32)
+
+
+def test_arithmetic_is_numpy_s(two):
+    a, b, out = *two, np.zeros(5 * simd.LANES, np.float32)
+    arithmetic(a, b, out)
+    x, y = two[:, 1:9]
+    exact = (x.astype(float) * y.astype(float)).astype(np.float32)
+    np.testing.assert_array_equal(out.reshape(5, simd.LANES), [x + y, x - y, x * y, x / y, exact])
+
+
+def test_masks_choose_lane_by_lane(two):
+    a, b, out = *two, np.zeros(5 * simd.LANES, np.float32)
+    b[:4] = a[:4]
+    b[7] = -1.0
+    flags, bits = np.arange(32, dtype=np.uint8), np.uint8(6)
+    choices(a, b, flags, bits, out)
+    x, y = a[:8], b[:8]
+    expected = [x >= y, x > y, (x >= y) & (y > 0), x != y, (flags[3:11] & bits) != 0]
+    np.testing.assert_array_equal(out.reshape(5, simd.LANES), expected)
+
+
+def test_comparisons_with_nan_are_false(two):
+    a, b, out = *two, np.zeros(5 * simd.LANES, np.float32)
+    a[:8] = np.nan
+    choices(a, b, np.zeros(32, np.uint8), np.uint8(1), out)
+    assert not out.any()
+
+
+def test_halves_come_from_and_go_to_different_places(two):
+    a, out, numbers = two[0], np.zeros(40, np.float32), np.arange(8, dtype=np.int32)
+    halves(a, out, numbers)
+    lower, upper = a[2:6], a[11:15]
+    expected = [lower, upper, [0] * 4, [0] * 4, [3] * 4, [4] * 4, [0] * 4, upper, [0] * 4, lower]
+    np.testing.assert_array_equal(out.reshape(10, 4), expected)
+    assert numbers.tolist() == [4, 5, 6, 7, 0, 1, 2, 3]
+
+
+@kernel(cache=False)
+def sums(texels, of_rows, of_columns, once, twice, out):
+    simd.prefetch(texels, 1 << 20)
+    rows = simd.load_texels(texels, 4) * simd.broadcast_weight(of_rows, 1) + simd.load_texels(
+        texels, 24
+    ) * simd.broadcast_weight(of_rows, 2)
+    simd.store_texel_sum(out, 0, rows * simd.load_four_weights(of_columns, 2), twice, np.float32(0.5), np.float32(3.0))
+    pairs = simd.load_texel_pairs(texels, 4, 28) * simd.load_four_weights(of_columns, 1)
+    simd.store_texel_sum(out, 4, pairs, once, np.float32(0.0), np.float32(1.0))
+
+
+def test_texels_are_weighted_and_summed():
+    """To rounding as numbers; as integers to a 32nd of a level for each product, which are cut off."""
+    rng = np.random.default_rng(1)
+    texels, weights, out = rng.integers(0, 256, 48), rng.uniform(-0.1, 0.7, 8), np.zeros(8, np.float32)
+    rows = texels[4:20] * weights[1] + texels[24:40] * weights[2]
+    pairs = np.concatenate([texels[4:12], texels[28:36]])
+    four = (weights[2:6] @ rows.reshape(4, 4)) * [1, 1, 1, 3] + [0.5, 0.5, 0.5, 0]
+    expected = np.concatenate([four, weights[1:5] @ pairs.reshape(4, 4)])
+    one = np.float32(1.0)
+    sums(texels.astype(np.float32), *[weights.astype(np.float32)] * 2, one, one, out)
+    np.testing.assert_allclose(out, expected, rtol=1e-5)
+    fixed, once = np.rint(weights * simd.FIXED_POINT_UNIT).astype(np.int16), np.float32(2.0 / simd.FIXED_TEXEL)
+    sums(texels.astype(np.uint8), np.repeat(fixed, 2).view(np.int32), fixed, once, 2 * once, out)
+    errors = (expected - out) / [1, 1, 1, 3, 1, 1, 1, 1]
+    assert ((errors > 0) & (errors < 6 / 32)).all()

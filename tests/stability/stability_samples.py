@@ -12,7 +12,6 @@ from pathlib import Path
 import omnisyn_cli
 
 SOURCES = str(Path(omnisyn_cli.__file__).parents[1])
-
 TESTS = str(Path(__file__).resolve().parents[1])
 
 LONGEST = 300.0

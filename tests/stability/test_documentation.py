@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-
 DOCUMENT = ROOT / "docs" / "stability.md"
-
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
 
 ROWS = [

@@ -1,4 +1,4 @@
-"""``kill -9`` at any moment: nothing broken has a final name, and a second run finishes as if nothing had happened."""
+"""``kill -9`` at any moment, and no room left: nothing broken has a final name, and what was there before stays."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ from pathlib import Path
 import pytest
 from stability_samples import command_line, duration, finish, kill_after, visible_files
 
+from cli.cli_samples import Omnisyn
+from omnisyn_cli.errors import WriteError
 from omnisyn_cli.io import read_depth, read_panorama, write_image
 from omnisyn_cli.io.placement import Reading
+from process_limits import file_size_limit
 from synthesis_samples import as_bytes, posed, write_hall
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="neither SIGKILL nor file size limits there")
 
 ROOM = Path(__file__).parents[2] / "examples" / "room"
 
@@ -33,19 +38,12 @@ print(train(TINY, config, Path(sys.argv[2]), steps=6).step)
 
 @dataclass(frozen=True)
 class Case:
-    """A command that writes.
+    """A command that writes."""
 
-    Attributes:
-        prepare: makes its inputs in a folder.
-        command: of a fresh run.
-        again: of a run after one that was killed; without --overwrite where nothing or everything is there then.
-        is_same_bytes: whether equal runs write equal files.
-    """
-
-    prepare: Callable[[Path], object]
-    command: list[str]
-    again: list[str]
-    is_same_bytes: bool = True
+    prepare: Callable[[Path], object]  # makes its inputs in a folder
+    command: list[str]  # of a fresh run
+    again: list[str]  # of one after a kill; without --overwrite where nothing or everything is there then
+    is_same_bytes: bool = True  # whether equal runs write equal files
 
 
 def _hall(folder: Path) -> None:
@@ -85,21 +83,13 @@ INTERPOLATE = command_line(
 )  # fmt: skip
 
 MAKE = command_line("scenes", "make", "out", "--count", 2, "--size", "128x64", "--frames", 2, "--threads", 1, "-q")
-
 EVAL = command_line("eval", "scenes", "--report", "report", "--methods", "crossfade,oracle-depth", "--threads", 1, "-q")
-
 PAIR = ("p0.png", "p1.png", "--poses", "poses.json", "--threads", 1, "-q")
-
 EXPORT = command_line("export", *PAIR, "-o", "out", "--format", "colmap")
-
 VIEW = command_line("view", *PAIR, "-o", "walk.html")
-
 FOLDER = command_line("view", *PAIR, "-o", "walk", "--folder")
-
 FRAMES = command_line("interpolate", *PAIR, "-o", "frames", "--frames", 12)
-
 ESTIMATE = command_line("poses", "estimate", "first.png", "second.png", "--baseline", 1, "-o", "poses.json", "-q")
-
 BATCH = command_line("batch", "jobs.jsonl", "-o", "out", "--workers", 1, "-q")
 
 CASES = {
@@ -176,14 +166,49 @@ def kill_and_repeat(case: Case, place: Path, kills: int, seed: int) -> None:
         assert found == expected
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
 @pytest.mark.parametrize("name", ["interpolate", "scenes make", "export"])
 def test_a_killed_run_leaves_nothing_broken_and_a_second_one_finishes(tmp_path: Path, name: str) -> None:
     kill_and_repeat(CASES[name], tmp_path, kills=2, seed=1)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
 @pytest.mark.parametrize("name", CASES)
 def test_ten_kills_at_random_moments(tmp_path: Path, name: str) -> None:
     kill_and_repeat(CASES[name], tmp_path, kills=10, seed=2)
+
+
+def test_scenes_need_room(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    make = ("scenes", "make", tmp_path / "out", "--size", "64x32", "--frames", 2, "--threads", 1, "-q")
+    omnisyn.made(*make)
+    before = visible_files(tmp_path)
+    with file_size_limit(300):
+        assert "check free space" in omnisyn.refused(*make, "--overwrite", "--seed", 1, code=1)
+    assert visible_files(tmp_path) == before
+
+
+def test_an_evaluation_needs_room(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    scene = tmp_path / "scenes" / "a"
+    scene.mkdir(parents=True)
+    write_hall(scene, [posed((0, 0, 0.5 - 0.25 * at)) for at in range(5)], (32, 64))
+    run = ("eval", tmp_path / "scenes", "--report", tmp_path / "report", "--methods", "crossfade", "--threads", 1, "-q")
+    with file_size_limit(200):
+        failed = omnisyn.ended(1, *run)
+    assert (failed.out, failed.err.count("\n")) == ("", 1)
+    assert "check free space" in failed.err
+    omnisyn.made(*run)
+    assert (tmp_path / "report" / "report.html").is_file()
+
+
+def test_a_checkpoint_needs_room_and_the_former_one_stays(tmp_path: Path) -> None:
+    import torch
+
+    from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
+
+    path = tmp_path / "checkpoint.pt"
+    state = {"kind": "depth", "network": {}, "training": {}, "step": 1, "average": {}}
+    save_checkpoint(path, state)
+    with file_size_limit(20_000), pytest.raises(WriteError, match="check free space") as caught:
+        save_checkpoint(path, {**state, "step": 2, "weights": torch.zeros(100_000)})
+    assert "\n" not in str(caught.value)
+    assert load_checkpoint(path)["step"] == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]

@@ -48,14 +48,16 @@ def photograph(position: np.ndarray, rotation: np.ndarray) -> View:
     return View(image.astype(np.float32), Pose(rotation, position))
 
 
-@pytest.fixture(scope="module")
-def views() -> tuple[View, View]:
+def room_views() -> tuple[View, View]:
     """Two views of the room, tilted and turned."""
     up, side = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     return (
         photograph(POSITIONS[0], turn(up, 30.0) @ turn(side, 4.0)),
         photograph(POSITIONS[1], turn(up, -100.0) @ turn(side, -3.0)),
     )
+
+
+views = pytest.fixture(room_views, scope="module")
 
 
 class KnowsTheRoom:
@@ -179,9 +181,7 @@ def test_a_prior_that_matches_contradict_is_not_used(views: tuple[View, View], m
         np.testing.assert_array_equal(each.matched, plain.matched)
 
 
-def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(
-    views: tuple[View, View], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(views, monkeypatch) -> None:
     """That saves time and changes nothing."""
     label, counts, found = matching_estimator.label_surfaces, [], []
     for share in (0.0, 1.0):

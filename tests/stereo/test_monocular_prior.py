@@ -2,7 +2,15 @@
 
 import numpy as np
 import pytest
-from tests.stereo.test_depth_prior import POSITIONS, SIZE, distance_to_wall, photograph, true_disparity, turn
+from tests.stereo.test_depth_prior import (
+    POSITIONS,
+    SIZE,
+    distance_to_wall,
+    photograph,
+    room_views,
+    true_disparity,
+    turn,
+)
 
 from omnisyn_cli.geometry.perspective import cell_directions
 from omnisyn_cli.geometry.pose import Pose
@@ -62,13 +70,10 @@ def matches_of(seed: int, false_share: float = 0.3) -> tuple[np.ndarray, np.ndar
 @pytest.mark.parametrize("is_perspective", [False, True], ids=["panorama", "perspective"])
 @pytest.mark.parametrize(("scale", "shift"), [(0.2, 0.2), (1.0, -0.2), (5.0, 0.1)])
 @pytest.mark.parametrize("reading", READINGS)
-def test_scale_shift_and_reading_are_found_again(
-    reading: str, scale: float, shift: float, is_perspective: bool
-) -> None:
+def test_scale_shift_and_reading_are_found_again(reading, scale, shift, is_perspective) -> None:
     """Within 3 %, though three tenths of the matches are wrong in the same way."""
     answer = DistortedRoom(reading, scale, shift, is_perspective=is_perspective)(photograph(POSITIONS[0], np.eye(3)))
     alignment = align(answer, *matches_of(seed=3))
-    assert alignment is not None
     assert alignment.reading == READINGS[reading]
     error = alignment.log_inverse_depth(answer.at(DIRECTIONS)) - log_inverse(DIRECTIONS)
     assert np.median(np.abs(error)) < 0.03
@@ -81,7 +86,6 @@ def test_perspective_pictures_see_everything_and_join_without_steps() -> None:
     directions = pixel_directions(128, 256)
     assert answer.at(directions).weight.sum(axis=0).min() > 0.01
     alignment = align(answer, *matches_of(seed=5, false_share=0.0))
-    assert alignment is not None
     error = alignment.log_inverse_depth(answer.at(directions)) - log_inverse(directions)
     for axis in (0, 1):
         assert np.quantile(np.abs(error - np.roll(error, 1, axis))[1:], 0.99) < 0.02
@@ -90,11 +94,7 @@ def test_perspective_pictures_see_everything_and_join_without_steps() -> None:
 @pytest.mark.parametrize("is_perspective", [False, True], ids=["panorama", "perspective"])
 def test_a_prior_is_where_the_room_is_in_both_panoramas(is_perspective: bool) -> None:
     """Whatever the cameras' orientation: the truth costs nothing, half of it costs something."""
-    up, side = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    views = (
-        photograph(POSITIONS[0], turn(up, 30.0) @ turn(side, 4.0)),
-        photograph(POSITIONS[1], turn(up, -100.0) @ turn(side, -3.0)),
-    )
+    views = room_views()
     pair = rectify(*views, SIZE)
     known = np.random.default_rng(0).random(SIZE) < 0.3
     found = [
@@ -104,7 +104,6 @@ def test_a_prior_is_where_the_room_is_in_both_panoramas(is_perspective: bool) ->
     model = DistortedRoom("inverse-depth", 1.7, 0.1, is_perspective=is_perspective)
     expecting = with_monocular_priors(pair, *views, (found[0], found[1]), model=model)
     for each, truth in zip((expecting, expecting.reversed()), found, strict=True):
-        assert each.prior is not None
         assert np.quantile(each.prior.cost(truth.disparity), 0.9) == 0.0
         assert np.median(each.prior.cost(0.5 * truth.disparity)) > 0.2
 

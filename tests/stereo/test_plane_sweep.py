@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo.plane_fitting import planes_from_second
 from omnisyn_cli.stereo.plane_sweep import sweep_directions, sweep_planes
@@ -60,24 +59,16 @@ def pair_above(unit: np.ndarray, distance: float, baseline: float, heading_deg: 
     return rectify(first, photograph(way, -75.0, unit, distance), SIZE)
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 1.0, 2.0, 4.0, 7.0, 10.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 1.0, 2.0, 4.0, 7.0, 10.0, 180.0], ids="{:.0f}".format)
 @pytest.mark.parametrize("heading_deg", [0.0, 77.0, 200.0])
-def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(
-    tilt_deg: float, heading_deg: float
-) -> None:
+def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(tilt_deg, heading_deg) -> None:
+    """And a ceiling as a floor is."""
     unit = turn(np.array([1.0, 0.0, 0.0]), tilt_deg) @ np.array([0.0, -1.0, 0.0])
     pair = pair_above(unit, 1.6, 4.0, heading_deg)
     best = sweep_planes(sweep_directions(pair), pair.grid.up[None])[0]
     assert 4.0 / np.linalg.norm(best) == pytest.approx(1.6, rel=0.01)
     found = pair.world_from_frame @ best / np.linalg.norm(best)
     assert math.degrees(math.acos(min(1.0, found @ unit))) < 0.7
-
-
-def test_a_ceiling_is_found_as_a_floor_is() -> None:
-    pair = pair_above(np.array([0.0, 1.0, 0.0]), 1.2, 3.0, 10.0)
-    best = sweep_planes(sweep_directions(pair), pair.grid.up[None])[0]
-    assert best @ pair.grid.up > 0
-    assert 3.0 / np.linalg.norm(best) == pytest.approx(1.2, rel=0.01)
 
 
 def test_planes_that_fitting_moves_onto_one_another_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,14 +125,3 @@ def test_the_second_camera_sees_the_same_points(distance: float, polar: float, a
 def test_a_plane_at_infinity_is_no_plane_for_the_second_camera() -> None:
     through_that_camera = [0.0, 1.0, 0.0]
     assert np.isnan(planes_from_second(np.array([np.zeros(3), through_that_camera]))).all()
-
-
-def test_the_texture_of_the_test_is_what_the_cameras_see() -> None:
-    unit = np.array([0.0, -1.0, 0.0])
-    first, second = (photograph(np.array([0.0, 0.0, z]), 0.0, unit, 1.6) for z in (0.0, -1.0))
-    point = np.array([0.4, -1.6, -0.7])
-    seen = [
-        sample_bilinear(v.image, (point - v.pose.position)[None] / np.linalg.norm(point - v.pose.position))
-        for v in (first, second)
-    ]
-    np.testing.assert_allclose(seen[0], seen[1], atol=0.08)

@@ -112,12 +112,6 @@ def test_costs_of_ranges_are_those_of_the_whole_volume(random, ranges):
     assert (cost == to_fixed_point(OUT_OF_VIEW_COST)).any()
 
 
-def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
-    cost = to_fixed_point(RNG.random((*SMALL, 7)).ravel())
-    total = aggregate_costs(cost, everything(SMALL, 7), np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
-    np.testing.assert_array_equal(total, 8 * cost)
-
-
 def test_with_the_largest_penalties_one_level_wins_everywhere_it_can_reach() -> None:
     cost, volume = 0.1 * RNG.random((*SMALL, 5)), everything(SMALL, 5)
     cost[..., [0, 1, 2, 4]] += 0.05
@@ -144,19 +138,12 @@ def test_aggregation_has_no_seam() -> None:
     np.testing.assert_array_equal(np.roll(before, 31, axis=1).ravel(), after)
 
 
-def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
-    tip = RNG.uniform(1.0, 5.0, SMALL)
-    total = to_fixed_point(np.abs(np.arange(7) - tip[..., None]) / 2.0)
-    level, margin = winner_takes_all(total.ravel(), everything(SMALL, 7), is_complete_range=True)
-    np.testing.assert_allclose(level, tip, atol=2.0 / FIXED_POINT_SCALE)
-    assert margin.min() > 0
-
-
-def test_a_minimum_between_disparities_is_found_where_it_is(random):
+@pytest.mark.parametrize("is_complete_range", [True, False])
+def test_a_minimum_between_disparities_is_found_where_it_is(random, is_complete_range):
     where = random.uniform(6.0, 12.0, (HEIGHT, WIDTH)).astype(np.float32)
     ranges = DisparityRange.from_bounds(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
     total = to_fixed_point(np.abs(np.arange(3, 16) - where[..., None]) / 4.0)
-    disparity, margin = winner_takes_all(total.ravel(), ranges, is_complete_range=False)
+    disparity, margin = winner_takes_all(total.ravel(), ranges, is_complete_range=is_complete_range)
     np.testing.assert_allclose(disparity, where, atol=4.0 / FIXED_POINT_SCALE)
     nearest = np.rint(where)
     np.testing.assert_allclose(margin, 0.5 - 0.5 * np.abs(where - nearest), atol=2.0 / FIXED_POINT_SCALE)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stereo_samples import OPENINGS, SIZE, room
+from stereo_samples import HALF_ROOM, OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.resize import resize_area
@@ -15,7 +15,7 @@ from omnisyn_cli.stereo.costs import (
     cost_volume,
     surface_cost,
 )
-from omnisyn_cli.stereo.filling import fill_with_planes
+from omnisyn_cli.stereo.filling import fill_with_planes, fitted_values, normal_equations
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
 from omnisyn_cli.stereo.rectify import rectify
@@ -39,11 +39,9 @@ def test_rectified_matches_lie_in_one_column_where_the_true_depth_says(name: str
     pair = rectify(first, second, SIZE)
     grid = pair.grid
     to_camera = grid.directions @ pair.world_from_frame.T
-    row = np.arange(SIZE[0])[:, None]
-    half = np.array([4.0, 1.6, 5.0])
     with np.errstate(divide="ignore"):
-        depth = (np.sign(to_camera) * half / to_camera).min(axis=-1)
-    target = row + grid.disparity(pair.baseline / depth)
+        depth = (np.sign(to_camera) * HALF_ROOM / to_camera).min(axis=-1)
+    target = np.arange(SIZE[0])[:, None] + grid.disparity(pair.baseline / depth)
     below = np.clip(np.rint(target), 0, SIZE[0] - 1).astype(int)
     found = np.take_along_axis(pair.second, below[..., None], axis=0)
     assert np.median(np.abs(found - pair.first)) < 0.03
@@ -63,15 +61,6 @@ def test_disparity_and_inverse_depth_are_each_others_inverse() -> None:
     grid = pair.grid
     inverse_depth = RNG.uniform(0.0, 2.0, SMALL)
     np.testing.assert_allclose(grid.inverse_depth(grid.disparity(inverse_depth)), inverse_depth, rtol=1e-3, atol=1e-4)
-
-
-def test_census_knows_order_only_and_no_seam() -> None:
-    grey = RNG.random(SMALL).astype(np.float32)
-    np.testing.assert_array_equal(
-        np.roll(census_transform(grey), 5, axis=1), census_transform(np.roll(grey, 5, axis=1))
-    )
-    same = census_transform(10.0 * grey + 3.0) == census_transform(10.0 * grey)
-    assert same.mean() > 0.99
 
 
 def test_bits_of_a_signature_are_neighbours_row_after_row() -> None:
@@ -113,32 +102,19 @@ def test_a_surface_costs_what_plain_loops_say() -> None:
     np.testing.assert_allclose(found, np.where(disparity < 0, INVALID_COST, expected), atol=1e-5)
 
 
-def test_planes_are_found_among_outliers() -> None:
-    normals = np.array([FLOOR, [0.3, 0.0, -0.1], [-0.2, 0.02, 0.25]])
-    directions = pixel_directions(*SMALL).reshape(-1, 3)
-    inverse_depth = np.max(directions @ normals.T, axis=1)
-    wrong = RNG.random(len(directions)) < 0.1
-    inverse_depth[wrong] = RNG.uniform(0.0, 1.0, int(wrong.sum()))
-    row, col = np.unravel_index(np.arange(len(directions)), SMALL)
-    points = PlanePoints(directions, inverse_depth, np.full(len(row), 0.003), solid_angles(*SMALL).ravel(), row, col)
-    up = np.array([0.0, 1.0, 0.0])
-    found = find_planes((points, NO_POINTS), up, max_planes=6, min_support=0.05)
-    for normal in normals:
-        assert np.abs(found - normal).max(axis=1).min() < 2e-3
-
-
-def test_points_of_the_second_camera_tell_the_same_planes() -> None:
-    up = np.array([0.0, 0.0, 1.0])
+@pytest.mark.parametrize("is_second", [False, True])
+def test_planes_are_found_among_outliers_in_points_of_either_camera(is_second: bool) -> None:
+    up, directions = np.array([0.0, 0.0, 1.0]), pixel_directions(*SMALL).reshape(-1, 3)
     normals = np.array([-0.6 * up, [0.3, 0.2, 0.0], [-0.2, -0.4, 0.1]])  # none passes between the cameras
-    seen = planes_from_second(normals)
-    directions = pixel_directions(*SMALL).reshape(-1, 3)
-    inverse_depth = np.max(directions @ seen.T, axis=1)
-    is_surface = inverse_depth > 0.05
-    row, col = np.unravel_index(np.flatnonzero(is_surface), SMALL)
-    points = PlanePoints(
-        directions[is_surface], inverse_depth[is_surface], np.full(len(row), 0.003), np.ones(len(row)), row, col
-    )
-    found = find_planes((NO_POINTS, points), up, max_planes=6, min_support=0.05)
+    inverse_depth = np.max(directions @ (planes_from_second(normals) if is_second else normals).T, axis=1)
+    wrong = RNG.random(len(directions)) < 0.1
+    inverse_depth[wrong] = RNG.uniform(0.1, 1.0, int(wrong.sum()))
+    seen = np.flatnonzero(inverse_depth > 0.05)
+    row, col = np.unravel_index(seen, SMALL)
+    area = solid_angles(*SMALL).ravel()[seen]
+    points = PlanePoints(directions[seen], inverse_depth[seen], np.full(len(seen), 0.003), area, row, col)
+    both = (NO_POINTS, points) if is_second else (points, NO_POINTS)
+    found = find_planes(both, up, max_planes=6, min_support=0.05)
     for normal in normals:
         assert np.abs(found - normal).max(axis=1).min() < 2e-3
 
@@ -251,3 +227,44 @@ def test_nothing_is_beyond_the_floor_nor_unless_the_sky_is_open_the_ceiling(name
             farther, same = (grid.disparity(share * inverse_depth) < bound for share in (0.5, 1.0))
             assert (farther[steep] == is_bounded).all()
             assert not same[inverse_depth > 0].any()
+
+
+FALLBACK_WEIGHT, TILT_RIDGE = 1e-3, 0.05
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+DIRECTIONS = pixel_directions(8, 16)
+
+
+def solved(sums: np.ndarray, fallback: np.ndarray) -> np.ndarray:
+    """The same with matrices."""
+    matrix = np.empty((*fallback.shape, 3, 3))
+    for k, (i, j) in enumerate(PAIRS):
+        matrix[..., i, j] = matrix[..., j, i] = sums[..., k]
+    amount = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
+    along = DIRECTIONS[..., :, None] * DIRECTIONS[..., None, :]
+    matrix += FALLBACK_WEIGHT * along + (TILT_RIDGE * amount + 1e-9) * (np.eye(3) - along)
+    vector = sums[..., 6:] + FALLBACK_WEIGHT * fallback[..., None] * DIRECTIONS
+    return (np.linalg.solve(matrix, vector[..., None])[..., 0] * DIRECTIONS).sum(axis=-1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 1.0])
+def test_a_fit_is_that_of_the_solver(share: float) -> None:
+    """Nothing known, little and everything, summed over all pixels and over each alone."""
+    rng = np.random.default_rng(7)
+    values, fallback = rng.random((2, 8, 16))
+    weight = rng.random((8, 16)) * (rng.random((8, 16)) < share)
+    own = normal_equations(values, weight, DIRECTIONS)
+    everywhere = np.broadcast_to(own.sum(axis=(0, 1)), own.shape)
+    for sums in (own, np.ascontiguousarray(everywhere)):
+        found = fitted_values(sums, fallback, DIRECTIONS, FALLBACK_WEIGHT, TILT_RIDGE)
+        np.testing.assert_allclose(found, solved(sums.astype(np.float64), fallback), rtol=1e-6, atol=1e-9)
+    if share == 0.0:
+        np.testing.assert_allclose(found, fallback, rtol=1e-9)
+
+
+def test_a_plane_is_found_from_all_of_its_pixels() -> None:
+    values, weight = DIRECTIONS @ np.array([0.3, -0.2, 0.5]), np.ones((8, 16))
+    sums = normal_equations(values, weight, DIRECTIONS)
+    np.testing.assert_allclose(sums[..., 6:], values[..., None] * DIRECTIONS, rtol=1e-6)
+    everywhere = np.ascontiguousarray(np.broadcast_to(sums.sum(axis=(0, 1)), sums.shape))
+    found = fitted_values(everywhere, np.zeros((8, 16)), DIRECTIONS, 1e-9, 0.0)
+    np.testing.assert_allclose(found, values, atol=1e-6)

@@ -7,6 +7,8 @@ import pytest
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.interpolation.api import estimate_depth, make_frames
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize, turned_panorama
@@ -22,11 +24,9 @@ BASELINES = {
 }
 
 
-def frames_of(
-    views: list[View], path: list[Waypoint], size: tuple[int, int] = SIZE, threads: int | None = 1
-) -> list[Frame]:
+def frames_of(views: list[View], path: list[Waypoint], size: tuple[int, int] = SIZE) -> list[Frame]:
     """All frames, each with a picture of its own."""
-    made = synthesize(views, path, SurfaceMethod(KnownDepth(), SynthesisOptions(size, threads=threads)))
+    made = synthesize(views, path, SurfaceMethod(KnownDepth(), SynthesisOptions(size, threads=1)))
     return [Frame(m.image.copy(), m.waypoint, m.panorama) for m in made]
 
 
@@ -107,7 +107,6 @@ def test_rolling_both_inputs_rolls_the_output(columns: int, tolerance: float) ->
 
 
 def _rolled(depth: DepthEstimate | None, columns: int) -> DepthEstimate:
-    assert depth is not None
     return DepthEstimate(np.roll(depth.inverse_depth, columns, axis=1), depth.confidence)
 
 
@@ -199,14 +198,6 @@ def test_a_turned_panorama_is_a_roll_and_an_unturned_one_itself() -> None:
     )
 
 
-def test_the_number_of_threads_does_not_show() -> None:
-    poses = BASELINES["tilted"]
-    views = [hall_view(pose) for pose in poses]
-    one, three = (frames_of(views, plan_path(poses, 4), threads=threads) for threads in (1, 3))
-    for a, b in zip(one, three, strict=True):
-        np.testing.assert_array_equal(a.image, b.image)
-
-
 def test_known_depth_wants_to_be_known() -> None:
     view = hall_view(posed((0, 0, 0)))
     with pytest.raises(ValueError, match="known depth"):
@@ -232,3 +223,27 @@ def test_another_fuser_may_be_plugged_in() -> None:
     method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1), only_second)
     made = synthesize(views, plan_path(poses, 3), method)
     assert (next(m for m in made if m.waypoint.t == 0.5).image == 0.5).all()
+
+
+MATCHING = RunConfig(DepthSource("matching", rows=64))
+
+
+def views(distance: float) -> tuple[View, View]:
+    """Two turned panoramas of the hall; their pictures are those of one position."""
+    first, second = hall_view(posed((0.0, 0.0, 0.0))), hall_view(posed((0.0, 0.0, 0.0), 0.4))
+    apart = replace(second.pose, position=np.array([0.0, 0.0, distance]))
+    return replace(first, known_depth=None), replace(second, pose=apart, known_depth=None)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-9, 9e-7])
+def test_there_is_no_depth_without_parallax(distance: float) -> None:
+    for estimate in estimate_depth(*views(distance), MATCHING, threads=1):
+        assert not estimate.inverse_depth.any()
+        assert not estimate.confidence.any()
+
+
+def test_frames_are_those_of_one_position() -> None:
+    same, close = (
+        list(make_frames(views(distance), 3, MATCHING, size=(32, 64), threads=1)) for distance in (0.0, 1e-9)
+    )
+    np.testing.assert_allclose(close, same, atol=1e-6)

@@ -114,7 +114,6 @@ def test_colours_overrule_confidence_where_one_neighbour_at_least_shows_them() -
     """The walls of the hall as they are against walls too near; one neighbour sees something else, which is no harm."""
     views = [hall_view(pose) for pose in WALK[:3]]
     truth = views[1].known_depth
-    assert truth is not None
     wrong = DepthEstimate(2.0 * truth.inverse_depth, np.full(SIZE, 0.9, np.float32))
     unsure = replace(truth, confidence=np.full(SIZE, 0.5, np.float32))
     views[2] = replace(views[2], image=np.zeros_like(views[2].image))
@@ -199,7 +198,6 @@ def test_frames_on_both_sides_are_made_of_the_joined_depth() -> None:
         answers = []
         for view in (first, second):
             truth = view.known_depth
-            assert truth is not None
             if view is not views[1]:
                 answers.append(truth)
                 continue

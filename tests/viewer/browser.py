@@ -17,7 +17,6 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.viewer.serve import served
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
-
 SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 QUIET = (
@@ -65,13 +64,7 @@ def launcher(driver: Any) -> Launch:
 
 
 class WalkPage:
-    """A walk in a browser.
-
-    Attributes:
-        page: Playwright's.
-        requests: addresses that were asked for.
-        errors: what went wrong in scripts.
-    """
+    """A walk in a browser: Playwright's page, addresses that were asked for, what went wrong in scripts."""
 
     def __init__(self, opened: Any, address: Path | str, place: str = "", **context: Any) -> None:
         self.page = opened.new_context(**{"viewport": {"width": 320, "height": 200}, **context}).new_page()

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,13 @@ def launch() -> Iterator[Launch]:
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, which the extra 'test' brings")
     with playwright.sync_playwright() as driver:
         yield launcher(driver)
+
+
+@pytest.fixture(scope="module")
+def opened(launch: Launch) -> Iterator[Any]:
+    """A browser with WebGL in software."""
+    with launch() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="session")

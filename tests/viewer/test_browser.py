@@ -22,12 +22,6 @@ def written(folder: Path, *, is_folder: bool = False) -> Path:
 
 
 @pytest.fixture(scope="module")
-def opened(launch: Launch) -> Iterator[Any]:
-    with launch() as one:
-        yield one
-
-
-@pytest.fixture(scope="module")
 def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("tour"))
 
@@ -175,7 +169,6 @@ def test_a_ring_leads_to_its_panorama_where_the_way_turns_back(opened: Any, tmp_
     walk = WalkPage(opened, output, "#t=1&yaw=-90&pitch=-25&fov=100").wait()
     walk.page.wait_for_selector(".stop[aria-label*='panorama 1,']")
     ring = walk.page.locator(".stop").first.bounding_box()
-    assert ring is not None
     walk.page.mouse.click(ring["x"] + ring["width"] / 2, ring["y"] + ring["height"] / 2)
     walk.until("omnisyn.page.walker.goal === null && omnisyn.page.walker.s !== 1")
     assert walk.walker("s") == 0
@@ -283,7 +276,6 @@ def test_the_hint_fits_a_phone_and_goes_with_escape(walk: WalkPage) -> None:
         assert walk.page.is_visible("#hint")
         assert not walk.page.is_visible("#welcome")
         box = walk.page.locator("#hint").bounding_box()
-        assert box is not None
         assert box["y"] >= 0
         assert box["width"] > 0.9 * width
         walk.page.keyboard.press("Escape")

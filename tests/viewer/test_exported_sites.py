@@ -1,13 +1,15 @@
-"""Sites in the viewers themselves: after every link the same landmark is in the centre; marks lie where they should.
-
-The viewers come from npm by the very command that the program names; without npm's registry these tests are skipped.
-"""
+"""Sites in the viewers themselves, which npm gets: the same landmark after every link; docs/tours.md as written."""
 
 import functools
 import http.server
 import io
+import json
+import os
+import re
 import shlex
+import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,10 +24,10 @@ from PIL import Image
 from cli.cli_samples import Omnisyn
 from export.site_samples import LANDMARKS, LINKS, NEIGHBOUR, PLACES, pose_of, write_tour
 from omnisyn_cli.interpolation.export.viewers import VIEWERS
+from omnisyn_cli.io import write_image
 from viewer.browser import MINUTES, Launch
 
 WIDTH, HEIGHT = 720, 400
-
 TOLERANCE_DEG = 0.5
 
 PANNELLUM_LINK = (
@@ -156,12 +158,6 @@ class Shown:
         raise AssertionError(f"expected {scene}, got {self.do('scene')}")
 
 
-@pytest.fixture(scope="module")
-def opened(launch: Launch) -> Iterator[Any]:
-    with launch() as browser:
-        yield browser
-
-
 @contextmanager
 def opened_site(viewer: str, npm: str, browser: Any, folder: Path, omnisyn: Omnisyn, *more: object) -> Iterator[Shown]:
     """The painted tour as a site, with the viewer that the program says how to get; nothing comes from elsewhere."""
@@ -237,9 +233,7 @@ def test_a_link_is_followed_by_hand_and_texts_are_texts(shown: Shown) -> None:
 
 
 @pytest.mark.parametrize("viewer", [name for name in JAVASCRIPT if VIEWERS[name].plays_clips])
-def test_a_clip_leads_to_the_next_panorama(
-    viewer: str, npm: str, opened: Any, tmp_path: Path, omnisyn: Omnisyn
-) -> None:
+def test_a_clip_leads_to_the_next_panorama(viewer, npm, opened, tmp_path, omnisyn) -> None:
     """Half way the landmark is still in the centre, and the picture is that of neither end."""
     options = ("--clips", "--preset", "fast", "--texture", 512, "--threads", 1)
     with opened_site(viewer, npm, opened, tmp_path, omnisyn, *options) as shown:
@@ -261,3 +255,61 @@ def test_a_clip_leads_to_the_next_panorama(
         print(f"{off:.3f} degrees off half way, {shown.off_centre(colour):.3f} there")
         assert off < 1.0  # a pixel and a half of the clip: its depth is an estimate
         assert shown.off_centre(colour) < TOLERANCE_DEG
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "tours.md"
+PICTURES = ("corridor.jpg", "kitchen.jpg", "office.jpg")
+MOST_COMMANDS = 10
+ENVIRONMENT = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"^```{kind}\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+
+
+@contextmanager
+def running(command: str, folder: Path, port: int) -> Iterator[None]:
+    """A server, until it is no longer needed."""
+    server = subprocess.Popen(shlex.split(command), cwd=folder, env=ENVIRONMENT, stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(600):
+            with socket.socket() as tried:
+                if tried.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            assert server.poll() is None, f"{command} has ended"
+        yield
+    finally:
+        server.terminate()
+        server.wait()
+
+
+@pytest.mark.usefixtures("npm")
+def test_every_command_runs(tmp_path: Path, omnisyn: Omnisyn, launch: Launch) -> None:
+    commands = [line for block in blocks("sh") for line in block.splitlines()]
+    assert len(commands) <= MOST_COMMANDS
+    names = [part for name in PICTURES for part in ("--name", name)]
+    kind = ("--kind", "home", "--seed", 3, "--frames", 3, "--baseline", 2.4, "--size", "1024x512", "--no-depth")
+    omnisyn.made("scenes", "make", tmp_path / "pictures", *kind, *names)
+    (tmp_path / "pictures" / "poses.json").unlink()
+    (tmp_path / "pictures" / "marks").mkdir()
+    write_image(tmp_path / "pictures" / "marks" / "fuses.jpg", np.full((8, 16, 3), 200, np.uint8))
+    for command in commands:
+        if "http.server" in command:
+            with socket.socket() as free:
+                free.bind(("127.0.0.1", 0))
+                port = free.getsockname()[1]
+            with running(command.replace("8000", str(port)), tmp_path, port), launch() as browser:
+                page = browser.new_page()
+                page.goto(f"http://127.0.0.1:{port}")
+                page.wait_for_selector(".pnlm-scene", state="attached", timeout=MINUTES)
+                assert page.inner_text(".pnlm-title-box").strip() == "corridor"
+                page.close()
+        else:
+            subprocess.run(["bash", "-c", command], cwd=tmp_path, env=ENVIRONMENT, check=True, capture_output=True)
+        if command.endswith("-o pictures/poses.json"):
+            (tmp_path / "pictures" / "tour.json").write_text(blocks("json")[0], encoding="utf-8")
+    site = json.loads((tmp_path / "site" / "tour.json").read_text())
+    (kitchen,) = (scene for name, scene in site["scenes"].items() if name.endswith("kitchen"))
+    assert (kitchen["title"], kitchen["author"]) == ("Kitchen", "With a view of the yard")
+    assert [mark["text"] for mark in kitchen["hotSpots"]] == ["corridor", "Oven", "Fuse box"]
+    assert sorted(file.name for file in (tmp_path / "tagged").iterdir()) == sorted(PICTURES)

@@ -213,7 +213,6 @@ def test_half_way_the_page_has_what_the_network_changes(shot: Shot) -> None:
     config = replace(shot.plan.config, edges=False)
     assert correction_of(shot.plan, shot.pair) is None
     correction = correction_of(replace(shot.plan, config=replace(config, fusion="network")), shot.pair)
-    assert correction is not None
     waypoint = Waypoint(0, 0.5, Pose(np.eye(3), shot.pose(0.5).position))
     by_rule, fused = (
         make_method(replace(config, fusion=fusion), SIZE, estimator=KnownDepth())
@@ -224,9 +223,7 @@ def test_half_way_the_page_has_what_the_network_changes(shot: Shot) -> None:
     assert ws_psnr(corrected, fused) > ws_psnr(by_rule, fused) + 6.0
 
 
-def test_a_correction_is_added_where_it_lies_and_fades_towards_the_ends(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_correction_is_added_where_it_lies_and_fades_towards_the_ends(shot, monkeypatch) -> None:
     """Red on the right of the world's −z: by 20 levels half way, by 10 at a quarter, and not on the left."""
     red = np.full((*SIZE, 3), NO_CORRECTION, np.uint8)
     red[:, SIZE[1] // 2 :, 0] += 10

@@ -13,7 +13,7 @@ from interpolation_samples import tour_job
 from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 from omnisyn_cli.poses.tour import Tour
 from synthesis_samples import posed, write_hall
-from viewer.browser import Launch, WalkPage, serving
+from viewer.browser import WalkPage, serving
 
 PLACES = {
     "p0": (-1.2, 0.0), "p1": (-0.6, 0.0), "p2": (0.0, 0.0), "p3": (0.6, 0.0), "p4": (1.2, 0.0),
@@ -66,12 +66,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def names_of(tour: Tour) -> list[str]:
     return [f"{first.removesuffix('.png')} {second.removesuffix('.png')}" for first, second in tour.links]
-
-
-@pytest.fixture(scope="module")
-def opened(launch: Launch) -> Iterator[Any]:
-    with launch() as one:
-        yield one
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +145,6 @@ def test_the_map_shows_and_leads(walk: WalkPage) -> None:
         (centres - centres[0]) / scale, np.array(list(PLACES.values())) - PLACES["p0"], atol=0.02
     )
     floor = walk.page.locator("#floor").bounding_box()
-    assert floor is not None
     np.testing.assert_allclose(centres[[0, 4], 0] - floor["x"], np.array([20, 100]) * floor["width"] / 120, atol=1)
     for index, go in ((5, dots.nth(5).click), (8, dots.nth(8).tap), (0, lambda: dots.nth(0).press("Enter"))):
         go()
@@ -176,7 +169,6 @@ def test_hotspots_are_hidden_by_what_stands_before_them_and_open(walk: WalkPage)
     assert marks["Before the wall"].is_visible()
     assert not marks["Behind the wall"].is_visible()
     box = marks["Before the wall"].bounding_box()
-    assert box is not None
     walk.page.mouse.click(box["x"] + 13, box["y"] + 13)
     assert walk.page.text_content("#card-title") == "Before the wall"
     walk.page.wait_for_selector("#card-picture:not([hidden])")
@@ -265,11 +257,17 @@ for (const kind of ['ready', 'arrive', 'move', 'hotspot', 'error'])
 </script></body></html>"""
 
 
+def embedded(opened: Any, folder: Path, broken: Collection[str] = ()) -> Any:
+    """The page of somebody else with the walk in it."""
+    page = opened.new_context(viewport={"width": 640, "height": 400}).new_page()
+    page.route("**/*", lambda route: answer(route, folder, broken))
+    page.goto("http://127.0.0.1/mine.html")
+    return page
+
+
 def test_the_module_runs_in_a_page_of_others(opened: Any, folder: Path) -> None:
     """By its documented interface, without a word of our page."""
-    page = opened.new_context(viewport={"width": 640, "height": 400}).new_page()
-    page.route("**/*", lambda route: answer(route, folder))
-    page.goto("http://127.0.0.1/mine.html")
+    page = embedded(opened, folder)
     page.evaluate("walk.ready")
     assert page.evaluate("walk.panoramas.length + walk.links.length") == 17
     assert page.evaluate("walk.panoramas[1].title") == "West <b>crossing</b>"
@@ -300,11 +298,8 @@ AGAIN = """() => {
 
 def test_after_its_end_nothing_of_a_walk_is_left(opened: Any, folder: Path) -> None:
     """Ended while it opens, then while it is shown; the next walk in the same element works."""
-    page = opened.new_context(viewport={"width": 640, "height": 400}).new_page()
-    errors: list[str] = []
+    page, errors = embedded(opened, folder), []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    page.route("**/*", lambda route: answer(route, folder))
-    page.goto("http://127.0.0.1/mine.html")
     page.wait_for_function("window.walk")
     assert page.evaluate("walk.dispose(), walk.ready.catch((error) => error.name)") == "AbortError"
     page.evaluate(AGAIN)
@@ -332,10 +327,8 @@ def test_after_its_end_nothing_of_a_walk_is_left(opened: Any, folder: Path) -> N
 
 def test_what_does_not_come_is_asked_for_again(opened: Any, folder: Path) -> None:
     """Panoramas that are fetched ahead say nothing; those that are needed say so, and the walk goes on."""
-    page = opened.new_context(viewport={"width": 640, "height": 400}).new_page()
     broken: list[str] = []
-    page.route("**/*", lambda route: answer(route, folder, broken))
-    page.goto("http://127.0.0.1/mine.html")
+    page = embedded(opened, folder, broken)
     page.evaluate("walk.ready")
     page.evaluate("walk.goTo('p2.png', { isSudden: true })")
     page.wait_for_function("walk.world.pending.size === 0")

@@ -1,14 +1,18 @@
-"""The score needs no truth and ranks like it; shares are those of the sphere."""
+"""The score of a pair needs no truth and ranks like it; confidence by pixel, and regions that are given up."""
 
 import numpy as np
 import pytest
 
 from confidence_samples import generated_views, judged
 from omnisyn_cli.evaluation.metrics.depth import rank_correlation
-from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, assess_pair
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, assess_pair, confidence_step, low_confidence_regions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.types import Layer
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import KnownDepth, Layer
 
 SIZE = (32, 64)
 
@@ -24,8 +28,8 @@ def rendering(
 
 def test_scores_rank_pairs_like_their_true_frames_do() -> None:
     """Rooms and a street, near and far, true poses and wrong ones; the larger version is a benchmark."""
-    room, far = generated_views("room", 106, 0.4, (128, 256)), generated_views("room", 104, 2.0, (128, 256))
-    street = generated_views("street", 103, 3.0, (128, 256))
+    room, far = generated_views("room", 106, 0.4, (64, 128)), generated_views("room", 104, 2.0, (64, 128))
+    street = generated_views("street", 103, 3.0, (64, 128))
     cases = [(room, 0, 0), (room, 1, 0.02), (room, 4, 0.1), (far, 0, 0), (far, 2, 0.1), (far, 8, 0.4),
              (street, 0, 0), (street, 1, 0.05), (street, 6, 0.5)]  # fmt: skip
     found = [judged(str(k), *case) for k, case in enumerate(cases)]
@@ -94,3 +98,75 @@ def test_the_weakest_direction_is_where_colours_differ(direction: tuple[float, f
     same, other = rendering(0.2), rendering(0.2 + error)
     found = np.array(assess_pair([(same, same), (same, same)], (same, other)).weakest)
     assert found @ direction / np.linalg.norm(direction) > np.cos(np.radians(20.0))
+
+
+SMALL = (16, 32)
+
+
+def random_rendering(seed: int) -> Layer:
+    rng = np.random.default_rng(seed)
+    colour = rng.random((*SMALL, 4), np.float32)
+    colour[..., :3] = 0.5 + 0.1 * colour[..., :3]
+    rho = (0.2 + 0.05 * rng.random(SMALL)).astype(np.float32)
+    hole = rng.random(SMALL) < 0.3
+    colour[hole], rho[hole] = 0, -1
+    return Layer.from_arrays(rho, colour, Pose(np.eye(3), np.zeros(3)))
+
+
+def confidence_of(first: Layer, second: Layer) -> np.ndarray:
+    """From two bands."""
+    out = np.full(SMALL, np.nan, np.float32)
+    judge = confidence_step(first.inverse_depth, second.inverse_depth, out)
+    for rows in (slice(0, 5), slice(5, SMALL[0])):
+        judge(first.colour[rows], second.colour[rows], rows.start)
+    return out
+
+
+def test_it_is_what_it_says() -> None:
+    first, second = random_rendering(1), random_rendering(2)
+    a, b = first.colour.astype(float), second.colour.astype(float)
+    gap = np.abs(first.inverse_depth - second.inverse_depth) / np.maximum(first.inverse_depth, second.inverse_depth)
+    differs = ((a - b)[..., :3] ** 2).mean(-1) / 0.15**2
+    seen = (a[..., 3] > 1e-4).astype(int) + (b[..., 3] > 1e-4)
+    agree = np.exp(-((gap / 0.1) ** 2) - differs)
+    believed = np.minimum(1, 4 * np.maximum(a[..., 3], b[..., 3]))
+    expected = believed * np.where(seen == 2, agree, np.where(seen == 1, 0.6, 0.0))
+    found = confidence_of(first, second)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    np.testing.assert_array_equal(found, confidence_of(second, first))
+
+
+def test_pixels_of_low_confidence_are_worse_than_those_of_high_confidence() -> None:
+    views = generated_views("room", 104, 1.0, (128, 256))
+    method = SurfaceMethod(KnownDepth(), SynthesisOptions((128, 256), threads=2, confidence=True))
+    (frame,) = synthesize([views[0], views[2]], [Waypoint(0, 0.5, views[1].pose)], method)
+    error = ((frame.image - views[1].image) ** 2).mean(-1)
+    low, high = (frame.confidence < 0.4), (frame.confidence > 0.8)
+    assert min(low.mean(), high.mean()) > 0.01
+    assert error[low].mean() > 3 * error[high].mean()
+
+
+@pytest.mark.parametrize("size", [(16, 32), (64, 128), (100, 200), (256, 512)])
+def test_regions_are_smooth_and_cover_what_is_low(size: tuple[int, int]) -> None:
+    confidence = np.ones(size, np.float32)
+    np.testing.assert_array_equal(low_confidence_regions(confidence), 0)
+    np.testing.assert_array_equal(low_confidence_regions(0 * confidence), 1)
+    half = size[1] // 2
+    confidence[:, :half] = 0
+    doubt = low_confidence_regions(confidence)
+    assert (doubt[:, half // 2] == 1).all()
+    assert (doubt[:, half + half // 2] == 0).all()
+    assert ((doubt >= 0) & (doubt <= 1)).all()
+
+
+def test_regions_turn_with_the_panorama_across_the_seam() -> None:
+    confidence = np.ones((64, 128), np.float32)
+    confidence[20:40, 60:90] = 0.1
+    rolled = low_confidence_regions(np.roll(confidence, 48, axis=1))
+    np.testing.assert_allclose(rolled, np.roll(low_confidence_regions(confidence), 48, axis=1), atol=1e-5)
+
+
+def test_a_speck_is_no_region() -> None:
+    confidence = np.ones((256, 512), np.float32)
+    confidence[100:104, 200:204] = 0
+    np.testing.assert_array_equal(low_confidence_regions(confidence), 0)

@@ -2,12 +2,15 @@
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenImageIO
+import pytest
 
+from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.poses.formats import import_poses
@@ -16,7 +19,8 @@ from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions
 SIZE = (512, 1024)
 """``(height, width)`` in which pixels are compared; no such image exists."""
 
-OPTIONS = ImportOptions()
+PIXELS = 1e-6
+"""That formulas may differ by."""
 
 
 def axis_angle(vector: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -73,6 +77,29 @@ def imported(*sources: Path, expected: str, **options: Any) -> ImportedPoses:
     name, result = import_poses(sources, "auto", ImportOptions(**options))
     assert name == expected
     return result
+
+
+def refuse(message: str, *sources: Path, name: str = "auto", **options: Any) -> None:
+    """Expect that an import is refused in one line with these words."""
+    with pytest.raises(PoseError, match=message) as caught:
+        import_poses(sources, name, ImportOptions(**options))
+    assert "\n" not in str(caught.value)
+
+
+def check_views(result: ImportedPoses, turns: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Each view sees the point of its sample where a camera of OpenCV with that turn and translation does."""
+    for view, (turn, shift), (_, _, point) in zip(result.views, turns, samples(len(turns)), strict=True):
+        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), opencv_pixel(turn @ point + shift), atol=PIXELS)
+
+
+def world_to_camera(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Matrices and translations, where the samples are of poses from the world to the camera."""
+    return [(axis_angle(turn)[0], shift) for turn, shift, _ in samples(count)]
+
+
+def camera_to_world(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The same, where the samples are of places of cameras and of their axes in the world."""
+    return [(turn.T, -turn.T @ place) for turn, place in world_to_camera(count)]
 
 
 def our_pixel(pose: Pose, point: np.ndarray) -> np.ndarray:

@@ -7,17 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_samples import (
+    PIXELS,
     SIZE,
     axis_angle,
+    camera_to_world,
+    check_views,
     imported,
     opencv_pixel,
     our_pixel,
     row,
     samples,
+    world_to_camera,
     write_images,
     write_json,
     write_text,
-    y_down,
     z_up,
 )
 
@@ -25,10 +28,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.poses.formats.files import CAMERA_AXES, WORLD_UP
 
 COUNT = 6
-
 NAMES = [f"{index:02d}.png" for index in range(COUNT)]
-
-PIXELS = 1e-6
 
 
 def test_colmap(tmp_path):
@@ -42,9 +42,7 @@ def test_colmap(tmp_path):
     write_text(tmp_path / "sparse" / "0" / "cameras.txt", "# comment", "1 EQUIRECTANGULAR 1024 512 1024 512")
     result = imported(tmp_path, expected="colmap")
     assert [view.name for view in result.views] == [f"pano {name}" for name in NAMES]
-    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
-        foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
-        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+    check_views(result, world_to_camera(COUNT))
 
 
 def faces_of_panorama_sfm(pitches: tuple[float, ...]) -> list[np.ndarray]:
@@ -119,9 +117,7 @@ def test_colmap_rigs_of_virtual_cameras_are_the_panoramas_that_they_were_cut_fro
     assert [view.name for view in result.views] == NAMES
     assert result.views[0].image == tmp_path / "images" / NAMES[0]
     assert any("put together from the faces of a rig" in note for note in result.notes)
-    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
-        foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
-        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+    check_views(result, world_to_camera(COUNT))
 
 
 def test_pycolmap_writes_rigs_as_they_are_read(tmp_path):
@@ -151,9 +147,7 @@ def test_spheresfm(tmp_path, is_binary):
         write_text(tmp_path / "cameras.txt", "1 SPHERE 1024 512 1 512 256")
         write_text(tmp_path / "images.txt", *(f"{i} {row(q, t)} 1 {NAMES[i]}\n" for i, (q, t) in enumerate(poses)))
     result = imported(tmp_path, expected="colmap")
-    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
-        foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
-        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+    check_views(result, world_to_camera(COUNT))
 
 
 @pytest.mark.parametrize("projection", ["spherical", "equirectangular"])
@@ -222,9 +216,7 @@ def test_tum(tmp_path):
     write_text(tmp_path / "poses.tum", "# timestamp tx ty tz qx qy qz qw", *lines)
     write_images(tmp_path / "images", NAMES)
     result = imported(tmp_path / "poses.tum", expected="tum")
-    for view, (turn, place, point) in zip(result.views, samples(COUNT), strict=True):
-        foreign = opencv_pixel(axis_angle(turn)[0].T @ (point - place))
-        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+    check_views(result, camera_to_world(COUNT))
 
 
 def test_kitti(tmp_path):
@@ -232,9 +224,7 @@ def test_kitti(tmp_path):
     write_images(tmp_path, NAMES)
     result = imported(write_text(tmp_path / "00.txt", *lines), expected="kitti")
     assert [view.name for view in result.views] == NAMES
-    for view, (turn, place, point) in zip(result.views, samples(COUNT), strict=True):
-        foreign = opencv_pixel(axis_angle(turn)[0].T @ (point - place))
-        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+    check_views(result, camera_to_world(COUNT))
 
 
 def test_habitat(tmp_path):
@@ -320,7 +310,6 @@ def test_authors(tmp_path):
 
 
 UPWARD = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
-
 LOOKING = {"opengl": ((0, 0, -1), (0, 1, 0)), "opencv": ((0, 0, 1), (0, -1, 0)), "flu": ((1, 0, 0), (0, 0, 1))}
 
 

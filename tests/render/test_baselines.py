@@ -1,16 +1,21 @@
-"""Soft points against plain loops over every pixel and every point, in numba and in torch."""
+"""Baselines: soft points against plain loops, in numba and in torch; point clouds; the rasteriser in two passes."""
 
 import math
 
 import numpy as np
 import pytest
 import torch
-from render_samples import POSES, moved, random_pose, rough, smooth, sphere, turn
+from render_samples import POSES, WHOLE, moved, random_pose, rough, smooth, sphere, turn
 
+from omnisyn_cli.baselines.points import PointRenderer
 from omnisyn_cli.baselines.soft_points import MIN_DIVISOR_OPACITY, Cloud, even_points, list_visible, splat
 from omnisyn_cli.baselines.soft_points_torch import splat_torch
+from omnisyn_cli.baselines.two_pass import rasterize_two_pass, triangles_without_caps
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.mesh import build_mesh
+from omnisyn_cli.render.rasterize import Fragments, rasterize
+from omnisyn_cli.render.renderer import RendererInputs
 
 
 def noise(height: int, width: int, channels: int = 3, seed: int = 50) -> np.ndarray:
@@ -120,25 +125,10 @@ def test_gradients_are_finite_at_infinity_at_a_discs_centre_and_at_the_camera():
     assert torch.isfinite(here.grad).all()
 
 
-def test_a_nearer_depth_is_found_by_its_gradient():
-    """Points on a sphere that is thought too far: descent brings them nearer."""
-    pose, directions = moved(0.5, 0.0, 0.0), pixel_directions(16, 32)
-    seen_from = sphere(np.zeros(3), 2.0, directions)
-    pattern = np.sin(4 * directions @ np.ones((3, 1)) + [0.0]).astype(np.float32)
-    truth = on_torch([Cloud(pattern, seen_from.astype(np.float32), pose)], (16, 32), radius=2.0)
-    root = torch.tensor(0.4, dtype=torch.float64, requires_grad=True)
-    features = torch.from_numpy(pattern.transpose(2, 0, 1).copy()).double()
-    made = splat_torch([features], [root * torch.ones(16, 32, dtype=torch.float64)], [pose], (16, 32), radius=2.0)
-    (made.permute(1, 2, 0) - torch.from_numpy(truth)).abs().mean().backward()
-    assert root.grad < 0
-
-
 def test_turning_the_target_by_whole_columns_rolls_what_it_sees():
-    clouds = [Cloud(noise(12, 24), smooth(12, 24), random_pose(57, 0.5))]
-    turned = Pose(turn(0.0, -2 * math.pi * 5 / 28, 0.0), np.zeros(3)) @ clouds[0].target_from_source
-    one, two = (
-        splat([Cloud(noise(12, 24), smooth(12, 24), pose)], (14, 28)) for pose in (random_pose(57, 0.5), turned)
-    )
+    pose = random_pose(57, 0.5)
+    turned = Pose(turn(0.0, -2 * math.pi * 5 / 28, 0.0), np.zeros(3)) @ pose
+    one, two = (splat([Cloud(noise(12, 24), smooth(12, 24), each)], (14, 28)) for each in (pose, turned))
     np.testing.assert_allclose(two, np.roll(one, 5, axis=1), atol=1e-5)
 
 
@@ -163,12 +153,6 @@ def test_points_are_as_dense_at_the_poles_as_at_the_equator():
     assert 1 <= even[0].sum() <= 4
 
 
-@pytest.mark.parametrize("threads", [2, 3])
-def test_the_number_of_threads_changes_nothing(threads):
-    clouds = [Cloud(noise(16, 32), rough(16, 32), random_pose(58, 1.5))]
-    np.testing.assert_array_equal(splat(clouds, (31, 62), threads=threads), splat(clouds, (31, 62), threads=1))
-
-
 def test_the_nearest_come_first_and_no_more_than_asked_for():
     lists = list_visible([rough(12, 24)], [random_pose(59, 1.0)], (12, 24), radius=3.0, most=5)
     depth = np.where(lists.found >= 0, lists.points[lists.found, 3], -1.0)
@@ -185,3 +169,89 @@ def test_the_same_place_shows_the_same_picture_with_soft_edges():
     made = splat([Cloud(smooth_picture, smooth(48, 96), Pose.identity())], (48, 96), radius=2.0)
     np.testing.assert_allclose(made[..., :3] / made[..., 3:], smooth_picture, atol=0.05)
     assert made[..., 3].min() > 0.8
+
+
+SIZE = (64, 128)
+
+
+def seen(rho: np.ndarray, position: tuple[float, float, float], mask: np.ndarray | None = None) -> np.ndarray:
+    """Red is the pixel's inverse depth, so that it says which point is seen; then confidence and inverse depth."""
+    image = np.zeros((*SIZE, 3), np.float32)
+    image[..., 0] = rho
+    layer = PointRenderer(RendererInputs(image, mask, rho, None, SIZE))(Pose(np.eye(3), np.array(position)))
+    return np.concatenate([layer.colour, layer.inverse_depth[..., None]], axis=-1)
+
+
+def test_from_its_own_place_a_panorama_is_what_it_was() -> None:
+    rho = np.random.default_rng(5).uniform(0.3, 0.31, SIZE).astype(np.float32)
+    found = seen(rho, (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(found[24:40, :, 0], rho[24:40], atol=0.01)
+    np.testing.assert_allclose(found[..., 4], rho, atol=0.01)
+    assert (found[..., 3] > 0.99).all()
+
+
+def test_what_is_near_hides_what_is_far() -> None:
+    rho = np.full(SIZE, 0.1, np.float32)
+    rho[24:40, 56:72] = 1.0
+    found = seen(rho, (0.3, 0.0, 0.0))  # the points move to the right, those nearby further
+    np.testing.assert_allclose(found[30:34, 66:72, 0], 1.0, atol=0.1)
+    np.testing.assert_allclose(found[30:34, 20:40, 0], 0.1, atol=0.01)
+
+
+def test_points_come_apart_where_the_camera_comes_closer_and_masked_ones_are_none() -> None:
+    rho = np.full(SIZE, 0.5, np.float32)
+    closer = seen(rho, (0.0, 0.0, 1.6))  # a fifth of the radius is left ahead
+    assert (closer[24:40, 56:72, 4] < 0.0).mean() > 0.3
+    assert (closer[closer[..., 4] < 0.0][:, :4] == 0.0).all()
+    mask = np.ones(SIZE, bool)
+    mask[:, :64] = False
+    assert (seen(rho, (0.0, 0.0, 0.0), mask)[8:56, 4:58, 3] == 0.0).all()
+
+
+def two_pass(rho: np.ndarray, pose: Pose, size: tuple[int, int], threads: int | None = None) -> Fragments:
+    return rasterize_two_pass(triangles_without_caps(build_mesh(rho, WHOLE)), pose, size, threads)
+
+
+def test_equals_the_exact_rasteriser_for_fine_meshes_away_from_the_poles():
+    rho, pose = smooth(128, 256), random_pose(50, 0.7)
+    found, expected = two_pass(rho, pose, (40, 80)), rasterize(build_mesh(rho, WHOLE), pose, (40, 80))
+    middle = slice(4, -4)
+    both = found.visibility[middle] & expected.visibility[middle]
+    assert both.mean() > 0.97  # not where the poles of the source are
+    np.testing.assert_allclose(found.inverse_depth[middle][both], expected.inverse_depth[middle][both], rtol=5e-3)
+
+
+def test_the_seam_is_closed_by_the_second_pass():
+    for shift in range(0, 40, 7):
+        turned = moved(0.1, 0.0, -0.2, rotation=turn(0.0, -2 * math.pi * shift / 40 + 0.01, 0.0))
+        assert two_pass(smooth(16, 32), turned, (20, 40)).visibility[2:-2].all()
+
+
+def test_the_identity_pose_returns_the_inverse_depths():
+    rho = rough(16, 32)
+    found = two_pass(rho, Pose.identity(), (16, 32)).inverse_depth
+    np.testing.assert_allclose(found[1:-1], rho[1:-1], atol=1e-5)
+
+
+def test_straight_lines_bend_where_triangles_are_large_and_those_of_the_exact_rasteriser_do_not():
+    """A coarse sphere's error grows with its faces' size twice over: once for being flat, once for being drawn flat."""
+    pose, size = moved(0.0, 0.0, 2.0), (64, 128)
+    rho = np.full((8, 16), 0.2, np.float32)
+    middle = slice(8, -8)
+    exact = rasterize(build_mesh(rho), pose, size)
+    flat = two_pass(rho, pose, size)
+    assert np.abs(flat.inverse_depth - exact.inverse_depth)[middle].max() > 1e-3
+    expected = sphere(pose.position, 5.0, pixel_directions(*size))[middle]
+    assert (exact.inverse_depth[middle] >= expected * (1 - 1e-5)).all()
+
+
+def test_holes_at_the_poles_are_what_the_method_costs():
+    rho, pose = smooth(32, 64), moved(0.0, 0.0, 0.0, rotation=turn(0.7, 0.0, 0.0))
+    assert not two_pass(rho, pose, (64, 128)).visibility.all()
+    assert rasterize(build_mesh(rho), pose, (64, 128)).visibility.all()
+
+
+def test_backs_of_faces_are_culled():
+    found = two_pass(np.full((64, 128), 0.2, np.float32), moved(0.0, 0.0, -12.0), (64, 128))
+    assert not found.visibility[:, :32].any()
+    assert (1.0 / found.inverse_depth[found.visibility] > 10.5).all()
