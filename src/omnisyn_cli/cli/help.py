@@ -18,7 +18,7 @@ SECTIONS: Mapping[str, str] = {
     "folder serve is_opened clips stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
     "Camera": "ease heading fov look",
-    "Depth": "depth model cut cut_metres",
+    "Depth": "depth model depth_prior depth_prior_kind cut cut_metres",
     "For comparison": "method renderer fusion adaptive",
     "Other": "dry_run as_json verbose quiet help_all help",
 }
@@ -26,7 +26,7 @@ SECTIONS: Mapping[str, str] = {
 RARE_OPTIONS = (
     "refine", "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform",
     "max_pixels", "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
-    "save_frames", "threads", "device", "depth", "model", "cut", "cut_metres",
+    "save_frames", "threads", "device", "depth", "model", "depth_prior", "depth_prior_kind", "cut", "cut_metres",
     "fov", "look", "method", "renderer", "fusion", "adaptive",
 )  # fmt: skip
 

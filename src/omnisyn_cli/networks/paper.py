@@ -190,9 +190,9 @@ class PaperPrediction(DepthPrediction):
     def confidence(self) -> Float[Tensor, "batch 1 height width"]:
         """How well both heads agree, in (0, 1]; the paper's network has no confidence of its own."""
         high, low = self.inverse_depth(), self.low.clamp(0.0, MAX_INVERSE_DEPTH)
+        apart = high - low  # first, as the nodes of exported files are numbered
         scale = torch.maximum(high, low).clamp(min=MIN_RELATIVE_INVERSE_DEPTH)
-        apart = (high - low) / (HALF_CONFIDENCE_DIFFERENCE * scale)
-        return 1.0 / (1.0 + apart.square())
+        return 1.0 / (1.0 + (apart / (HALF_CONFIDENCE_DIFFERENCE * scale)).square())
 
 
 def sphere_inverse_depths(config: PaperConfig) -> Float[np.ndarray, " levels"]:
