@@ -10,17 +10,17 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_370, "interpolation": 5_150, "evaluation": 4_520, "training": 3_600, "scenes": 4_140, "render": 3_670,
-    "cli": 3_680, "io": 3_690, "stereo": 3_820, "fusion": 3_110, "synthesis": 2_320, "batch": 1_750,
-    "networks": 1_650, "baselines": 1_090, "geometry": 1_020, "pipeline": 690, "compute": 670, "(top)": 430,
-    "runtime": 550,
+    "poses": 6_110, "interpolation": 5_050, "evaluation": 4_270, "training": 3_500, "scenes": 4_010, "render": 3_600,
+    "cli": 3_500, "io": 3_420, "stereo": 3_660, "fusion": 3_040, "synthesis": 2_220, "batch": 1_710,
+    "networks": 1_600, "baselines": 1_040, "geometry": 980, "pipeline": 660, "compute": 650, "(top)": 340,
+    "runtime": 490,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 51_920
+MOST_LINES = 49_850
 """The sum. When rooms shrink, lower their budgets and it."""
 
-MOST_TEST_LINES, MOST_WORDS = 36_300, 30_100
+MOST_TEST_LINES, MOST_WORDS = 35_450, 28_400
 """Lines of the tests, and words of README, CHANGELOG, ``docs/`` and the models' cards."""
 
 SLACK = 150

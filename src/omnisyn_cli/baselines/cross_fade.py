@@ -20,8 +20,7 @@ from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panor
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
-MIN_FLOW_ROWS = 32
-"""Rows of the smallest pictures that optical flow is looked for in."""
+MIN_FLOW_ROWS = 32  # rows of the smallest pictures that optical flow is looked for in
 
 
 class _CrossFadePair:

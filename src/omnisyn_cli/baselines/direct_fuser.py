@@ -23,11 +23,8 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer
 
-MAX_NETWORK_ROWS = 1024
-"""Rows of the network's picture; its memory grows with it."""
-
-SIZE_MULTIPLE = 64
-"""Of the network's input: it halves its input six times."""
+MAX_NETWORK_ROWS = 1024  # rows of the network's picture; its memory grows with it
+SIZE_MULTIPLE = 64  # of the network's input: it halves its input six times
 
 
 class DirectFusionNetwork(Protocol):

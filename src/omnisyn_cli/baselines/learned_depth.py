@@ -14,8 +14,7 @@ from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.runtime.session import run_depth_network
 from omnisyn_cli.types import DepthEstimate, View
 
-FORWARD_DIRECTION = np.array([0.0, 0.0, -1.0])
-"""From the first camera to the second in the forward frame, in baselines."""
+FORWARD_DIRECTION = np.array([0.0, 0.0, -1.0])  # from the first camera to the second in the forward frame, in baselines
 
 
 class LearnedDepthEstimator:

@@ -14,11 +14,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 from omnisyn_cli.types import Layer
 
-RADIUS_ROWS = 1.0
-"""Of a disc: 0.71 closes a surface that is seen from where it was taken."""
-
-POINTS_PER_PIXEL = 8
-"""That are blended at most; more are there only where the camera has moved away."""
+RADIUS_ROWS = 1.0  # of a disc: 0.71 closes a surface that is seen from where it was taken
+POINTS_PER_PIXEL = 8  # that are blended at most; more are there only where the camera has moved away
 
 
 class PointRenderer:

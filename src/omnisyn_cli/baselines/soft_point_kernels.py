@@ -6,8 +6,7 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import kernel, subkernel
 
-NO_POINT = -1
-"""Index that says that no further point covers a pixel."""
+NO_POINT = -1  # index that says that no further point covers a pixel
 
 
 @kernel()

@@ -21,17 +21,11 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 
-POINT_RADIUS_ROWS = 4.0
-"""Rows of the target that a disc reaches over."""
-
-POINTS_PER_PIXEL = 32
-"""How many points a pixel is made of at most: what is behind them is worth less than 1 in 1000."""
-
-GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
-"""Multiples of it, modulo 1, keep away from each other."""
-
+POINT_RADIUS_ROWS = 4.0  # rows of the target that a disc reaches over
+POINTS_PER_PIXEL = 32  # how many points a pixel is made of at most: what is behind them is worth less than 1 in 1000
+GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)  # multiples of it, modulo 1, keep away from each other
+# Least squared distance in radii: no point is quite opaque, so that gradients reach what is behind it.
 MIN_DIVISOR_OPACITY = 1e-3
-"""Least squared distance in radii: no point is quite opaque, so that gradients reach what is behind it."""
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panor
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
+# World from camera of a panorama as the networks want it held: up is up, and it looks along the world's −z.
 WORLD_ROTATION = np.eye(3)
-"""World from camera of a panorama as the networks want it held: up is up, and it looks along the world's −z."""
 
 
 def upright_image(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:

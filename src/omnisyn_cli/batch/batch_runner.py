@@ -35,11 +35,9 @@ from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.outputs import TEMPORARY_PREFIX
 
-INTERPOLATOR = "omnisyn_cli.batch.interpolations:Interpolator"
-"""What workers make their work function with."""
-
+INTERPOLATOR = "omnisyn_cli.batch.interpolations:Interpolator"  # what workers make their work function with
+# Finding the depth of a pair of 2048×1024 takes as long as making so many frames; see docs/batch.md.
 DEPTH_COST_FRAMES = 12.0
-"""Finding the depth of a pair of 2048×1024 takes as long as making so many frames; see docs/batch.md."""
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,10 @@ from typing import Any, Protocol
 from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.errors import OmnisynError
 
-MAX_WORKER_DEATHS = 2
-"""A job during which so many workers died is not tried again."""
-
-SHUTDOWN_TIMEOUT_SECONDS = 10
-"""That a worker has to finish after its connection is closed; then it is killed."""
-
+MAX_WORKER_DEATHS = 2  # a job during which so many workers died is not tried again
+SHUTDOWN_TIMEOUT_SECONDS = 10  # that a worker has to finish after its connection is closed; then it is killed
+# Environment variables by which numerical libraries take their number of threads.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables by which numerical libraries take their number of threads."""
 
 
 @dataclass(frozen=True)

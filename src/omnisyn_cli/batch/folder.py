@@ -26,8 +26,7 @@ from omnisyn_cli.io.outputs import (
     write_errors,
 )
 
-STAGING_SUFFIX = ".batch"
-"""Of the hidden folder in which a batch works; its whole name is that of no other run."""
+STAGING_SUFFIX = ".batch"  # of the hidden folder in which a batch works; its whole name is that of no other run
 
 
 def recorded_outputs(path: Path) -> set[str]:

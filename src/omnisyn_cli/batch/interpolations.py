@@ -24,9 +24,9 @@ from omnisyn_cli.io import Panorama, read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
+# Kept at a time by a worker: two panoramas for the pair at work, one shared with the next pair; the depth of pairs;
+# estimators, as jobs that want depth found in more ways than that load networks again.
 MAX_CACHED_PANORAMAS, MAX_CACHED_DEPTHS, MAX_CACHED_ESTIMATORS = 3, 4, 4
-"""Kept at a time by a worker: two panoramas for the pair at work, one shared with the next pair; the depth of pairs;
-estimators, as jobs that want depth found in more ways than that load networks again."""
 
 T = TypeVar("T")
 

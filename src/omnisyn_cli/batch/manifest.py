@@ -27,11 +27,8 @@ from omnisyn_cli.io.encode import NUMBER
 from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, real_path
 from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
-RECORDS = "results.jsonl"
-"""File in the folder of a batch that says what became of every job."""
-
-MIN_EVEN_SIZE = (2, 4)
-"""Rows and columns that every encoder takes."""
+RECORDS = "results.jsonl"  # file in the folder of a batch that says what became of every job
+MIN_EVEN_SIZE = (2, 4)  # rows and columns that every encoder takes
 
 
 @dataclass(frozen=True)

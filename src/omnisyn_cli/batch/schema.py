@@ -17,11 +17,8 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob
 from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
 
-MAX_MANIFEST_BYTES = 1 << 30
-"""One GiB: larger files are no manifests. Set by hand."""
-
-LIST_COLUMNS = frozenset({"inputs", "masks"})
-"""Columns of CSV with several file names, separated by semicolons."""
+MAX_MANIFEST_BYTES = 1 << 30  # one GiB: larger files are no manifests. Set by hand.
+LIST_COLUMNS = frozenset({"inputs", "masks"})  # columns of CSV with several file names, separated by semicolons
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
@@ -84,6 +81,7 @@ def _like(pattern: str, wanted: str) -> Any:
     return Annotated[str, AfterValidator(checked)]
 
 
+# Type and default of what a line says beside the options of its interpolation.
 LINE_FIELDS: dict[str, Any] = {
     "id": (
         _like(r"\w[\w.-]{0,119}", "at most 120 letters, digits, _, - and ., the first one a letter, digit or _"),
@@ -92,8 +90,7 @@ LINE_FIELDS: dict[str, Any] = {
     "inputs": (Annotated[list[Name], Field(min_length=2)] | None, None),
     **dict.fromkeys(("scene", "poses", "group", *OUTPUTS), (Name | None, None)),
 }
-"""Type and default of what a line says beside the options of its interpolation."""
-
+# Types of options that a line writes in another way than :class:`InterpolationJob`, which says all other ranges.
 MANIFEST_TYPES: Mapping[str, Any] = {
     "size": _like(r"[1-9][0-9]{0,5}x[1-9][0-9]{0,5}", "WIDTHxHEIGHT such as 2048x1024") | None,
     "encoder_preset": Name | None,
@@ -104,21 +101,16 @@ MANIFEST_TYPES: Mapping[str, Any] = {
     "fov": Annotated[float, Field(gt=0, lt=180)] | None,
     **{name: Literal[names] for name, names in CHOICES.items()},
 }
-"""Types of options that a line writes in another way than :class:`InterpolationJob`, which says all other ranges."""
-
+# Fields of :class:`InterpolationJob` that a line does not choose.
 RUN_FIELDS = {"images", "threads", "overwrite", "finds_order", "tour", "is_chain"}
-"""Fields of :class:`InterpolationJob` that a line does not choose."""
-
-
+# Types of the fields of :class:`InterpolationJob` in a line.
 OPTION_TYPES = {**get_type_hints(InterpolationJob, include_extras=True), **MANIFEST_TYPES}
-"""Types of the fields of :class:`InterpolationJob` in a line."""
-
+# Type and default of the options of an interpolation.
 OPTION_FIELDS: dict[str, Any] = {
     field.name: (OPTION_TYPES[field.name], None if field.default == () else field.default)
     for field in fields(InterpolationJob)
     if field.name not in RUN_FIELDS | LINE_FIELDS.keys()
 }
-"""Type and default of the options of an interpolation."""
 
 LINE_CONFIG = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

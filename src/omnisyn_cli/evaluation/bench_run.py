@@ -34,11 +34,9 @@ from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-PHOTOGRAPHS_PER_CLIP = 2
-"""The first and the last frame of a clip, which are not rendered."""
-
+PHOTOGRAPHS_PER_CLIP = 2  # the first and the last frame of a clip, which are not rendered
+# Where Linux says what the greatest resident size of a process was, in kB.
 PROCESS_STATUS, PEAK_MEMORY_FIELD = Path("/proc/self/status"), "VmHWM:"
-"""Where Linux says what the greatest resident size of a process was, in kB."""
 
 
 @dataclass(frozen=True)

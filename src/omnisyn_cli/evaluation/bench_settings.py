@@ -30,41 +30,29 @@ from omnisyn_cli.io.outputs import make_folder, staged_folder
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.scenes import generate_scene, sample_path
 
-RESULTS_NAME = "bench.jsonl"
-"""A line per finished run."""
-
+RESULTS_NAME = "bench.jsonl"  # a line per finished run
+# Pairs that are made where no others are given: kind, seed, metres. Nothing was trained or tuned with these seeds.
 GENERATED_PAIRS = (
     ("street", 5_000_001, 1.0), ("street", 5_000_002, 3.0), ("street", 5_000_003, 6.0),
     ("room", 5_000_001, 1.0), ("room", 5_000_003, 3.0),
     ("home", 5_000_002, 1.0), ("home", 5_000_003, 2.0), ("home", 5_000_004, 4.0),
     ("home", 5_000_001, 1.0), ("home", 5_000_005, 3.0), ("street", 5_000_004, 2.0), ("street", 5_000_005, 6.0),
 )  # fmt: skip
-"""Pairs that are made where no others are given: kind, seed, metres. Nothing was trained or tuned with these seeds."""
-
+# Of the panoramas of a scene that is made: two inputs, and three true frames between.
 PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(5))
-"""Of the panoramas of a scene that is made: two inputs, and three true frames between."""
-
-SUPERSAMPLE = 2
-"""Rays per pixel along each axis of the rendered scenes. Set by hand."""
-
-DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"
-"""What others are compared with."""
-
-ALL_SIZE_METHODS = tuple(f"omnisyn-{name}" for name in SCALE)
-"""What is measured in further sizes as well."""
-
+SUPERSAMPLE = 2  # rays per pixel along each axis of the rendered scenes. Set by hand.
+DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"  # what others are compared with
+ALL_SIZE_METHODS = tuple(f"omnisyn-{name}" for name in SCALE)  # what is measured in further sizes as well
+# Of that method, one at a time.
 CHANGES = (
     "model=none", "fusion=geometric", "edges=none", "adaptive=none", "rows=512", "rows=2048", "renderer=two-pass",
 )  # fmt: skip
-"""Of that method, one at a time."""
-
+# What is measured unless something else is asked for: everything that costs time and that users may choose.
 DEFAULT_BENCH_METHODS = (
     "crossfade", "flow", *ALL_SIZE_METHODS, "matching", *(f"{DEFAULT_METHOD}:{change}" for change in CHANGES),
 )  # fmt: skip
-"""What is measured unless something else is asked for: everything that costs time and that users may choose."""
-
+# Pairs between which frames are made that are larger than the panoramas: they cost time, but show no more.
 TIMED_PAIRS = 2
-"""Pairs between which frames are made that are larger than the panoramas: they cost time, but show no more."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +155,7 @@ def _read(path: Path) -> list[Figures]:
         raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
 
 
-COMPILING_MESSAGE = "compiling"
-"""What a process says, before its figures, when it compiles kernels."""
+COMPILING_MESSAGE = "compiling"  # what a process says, before its figures, when it compiles kernels
 
 
 def _measure_in_child(run: BenchRun) -> Figures:

@@ -42,8 +42,7 @@ from omnisyn_cli.io.outputs import make_folder
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""
 
-DEFAULT_TOUR_PAIRS = "every:2"
-"""Pairs of tours unless others are asked for."""
+DEFAULT_TOUR_PAIRS = "every:2"  # pairs of tours unless others are asked for
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,8 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets.sources import Pair
 from omnisyn_cli.runtime.models import sha256_of
 
-RECORD_VERSION = 3
-"""Counts up when the same inputs are measured or recorded in another way."""
-
-IGNORED_ROOMS = frozenset({"batch", "cli", "networks", "training"})
-"""Parts of the program that no method goes through."""
+RECORD_VERSION = 3  # counts up when the same inputs are measured or recorded in another way
+IGNORED_ROOMS = frozenset({"batch", "cli", "networks", "training"})  # parts of the program that no method goes through
 
 
 @cache

@@ -14,35 +14,23 @@ from jaxtyping import Float
 
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-BOUND = "oracle-depth"
-"""The method that is given the true depth: whatever its parameters, an upper bound of the others."""
-
-TOUR_PARAMETER = "neighbours=2"
-"""The parameter of a method that lets depth come from both neighbours of a panorama."""
-
-MAIN_SCORE = "ws_psnr"
-"""The score that methods are ranked by."""
-
+BOUND = "oracle-depth"  # the method that is given the true depth: whatever its parameters, an upper bound of the others
+TOUR_PARAMETER = "neighbours=2"  # the parameter of a method that lets depth come from both neighbours of a panorama
+MAIN_SCORE = "ws_psnr"  # the score that methods are ranked by
+# Metres: distances are put together from one edge (excluded) to the next (included).
 BAND_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, math.inf)
-"""Metres: distances are put together from one edge (excluded) to the next (included)."""
-
+# Baseline over median depth, from and below: 2 m are wide in a room and narrow in a street.
 BASELINE_BINS = {"narrow": (0.0, 0.25), "medium": (0.25, 0.6), "wide": (0.6, math.inf)}
-"""Baseline over median depth, from and below: 2 m are wide in a room and narrow in a street."""
-
-TIME_BANDS = 5
-"""Parts of equal length that the way between two panoramas is cut into."""
-
+TIME_BANDS = 5  # parts of equal length that the way between two panoramas is cut into
+# Stages in the order in which they are gone through; others follow.
 STAGES = ("depth", "flow", "mesh", "render", "fuse")
-"""Stages in the order in which they are gone through; others follow."""
 
 Sample = Mapping[tuple[Any, ...], float]
 """Values by where they were measured: the scene, the first panorama, the second, and what tells the rest apart."""
 
-PAIR_PARTS = 3
-"""Parts of such a key that name a pair."""
-
+PAIR_PARTS = 3  # parts of such a key that name a pair
+# 97.5 % quantiles of Student's distribution, by degrees of freedom; the last one is enough for more.
 STUDENT_T = (math.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23)
-"""97.5 % quantiles of Student's distribution, by degrees of freedom; the last one is enough for more."""
 
 
 def finished(records: Iterable[UnitRecord], method: str | None = None) -> list[UnitRecord]:

@@ -40,11 +40,9 @@ from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
+# Set by hand: an odd number, so that one lies in the middle; so few rows keep it cheaper than the true frames.
 CLIP_FRAMES, CLIP_STEP, CLIP_HEIGHT = 9, 1 / 60, 256
-"""Set by hand: an odd number, so that one lies in the middle; so few rows keep it cheaper than the true frames."""
-
-END_SHARE = 1e-6
-"""Share of the way from a panorama at which a frame is rendered rather than the photograph shown."""
+END_SHARE = 1e-6  # share of the way from a panorama at which a frame is rendered rather than the photograph shown
 
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
 """A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""

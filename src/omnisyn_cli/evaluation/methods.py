@@ -54,8 +54,7 @@ from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
-FIRST_VIEW_SHARE = 1e-9
-"""Share of the way at which the exposure of a frame is still that of the first view."""
+FIRST_VIEW_SHARE = 1e-9  # share of the way at which the exposure of a frame is still that of the first view
 
 
 class MethodUnavailableError(OmnisynError):
@@ -233,9 +232,8 @@ class _FirstOfPair:
         return first, _nothing_of(second)
 
 
-_DEFAULT = PRESETS[DEFAULT_PRESET].config
-"""The config of the default preset, of which ablations change one thing."""
-
+_DEFAULT = PRESETS[DEFAULT_PRESET].config  # the config of the default preset, of which ablations change one thing
+# Methods without parameters, by name.
 BASES: Mapping[str, ComparedMethod] = {
     name: ComparedMethod(name, description, config, shows_first_only=name == "first-view-only")
     for name, description, config in (
@@ -262,11 +260,8 @@ BASES: Mapping[str, ComparedMethod] = {
         ("oracle-depth", "the true depth: an upper bound", RunConfig(DepthSource("file"))),
     )
 }  # fmt: skip
-"""Methods without parameters, by name."""
-
-ONE_VIEW = "views=1"
-"""The parameter of a method that shows the first panorama only."""
-
+ONE_VIEW = "views=1"  # the parameter of a method that shows the first panorama only
+# Parameters that every method with surfaces takes as they are, and what they change in it or in its config.
 PLAIN_PARAMETERS: Mapping[str, Mapping[str, Any]] = {
     **{f"fusion={name}": {"fusion": name, "shows_first_only": False} for name in FUSIONS},
     "edges=none": {"edges": False},
@@ -275,14 +270,10 @@ PLAIN_PARAMETERS: Mapping[str, Mapping[str, Any]] = {
     ONE_VIEW: {"shows_first_only": True},
     "nadir=auto": {"leaves_out_camera_fixed": True},
 }
-"""Parameters that every method with surfaces takes as they are, and what they change in it or in its config."""
-
+# Parameters of refined depth that leave one of its networks out.
 WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {"model=none": {"model": None}, "prior=none": {"prior": None}}
-"""Parameters of refined depth that leave one of its networks out."""
-
-MIN_ROWS = 32
-"""Least height of a network's input, which is halved five times."""
-
+MIN_ROWS = 32  # least height of a network's input, which is halved five times
+# Ablations that are part of ``all``.
 VARIANTS = (
     f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
     "matching:metres=2",
@@ -291,7 +282,6 @@ VARIANTS = (
     "matching:depth=512x256",
     "matching:depth=256x128",
 )
-"""Ablations that are part of ``all``."""
 
 
 def find_method(name: str) -> ComparedMethod:
@@ -358,17 +348,15 @@ def _changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
     return PLAIN_PARAMETERS.get(parameter, {})
 
 
+# What ``all`` stands for, by name.
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}
-"""What ``all`` stands for, by name."""
-
+# What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all.
 DEFAULT_METHODS = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
-"""What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""
-
+# What it stands for between photographs; the last one is what ``interpolate`` does.
 PHOTOGRAPH_METHODS = (
     "crossfade", "flow", "matching:nadir=auto", f"omnisyn-{DEFAULT_PRESET}:nadir=auto",
     f"omnisyn-{DEFAULT_PRESET}:fallback=soft:nadir=auto",
 )  # fmt: skip
-"""What it stands for between photographs; the last one is what ``interpolate`` does."""
 
 
 def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:

@@ -24,6 +24,7 @@ from omnisyn_cli.interpolation.planning.figures import (
     standard_seconds,
 )
 
+# By the name of the file.
 PLOT_TITLES = {
     "ws-psnr-by-distance": "WS-PSNR against the distance from the nearer panorama",
     "ws-psnr-by-share": "WS-PSNR along the way",
@@ -31,25 +32,14 @@ PLOT_TITLES = {
     "seconds-by-stage": "Seconds per pair, by stage",
     "reliability": "Reliability of depth: the share within 10 % (full) and 5 % (dotted) by confidence",
 }
-"""By the name of the file."""
-
-FIGURE_WIDTH, FIGURE_HEIGHT, LEGEND_LINE_HEIGHT = 6.4, 3.8, 0.22
-"""Inches; text stays readable on a telephone."""
-
-LEGEND_COLUMNS = 3
-"""As many names as fit the width of a diagram."""
-
-DOTS_PER_INCH = 160
-"""Sharp on screens of twice the usual density."""
-
+FIGURE_WIDTH, FIGURE_HEIGHT, LEGEND_LINE_HEIGHT = 6.4, 3.8, 0.22  # inches; text stays readable on a telephone
+LEGEND_COLUMNS = 3  # as many names as fit the width of a diagram
+DOTS_PER_INCH = 160  # sharp on screens of twice the usual density
+# Okabe and Ito's colours, which the colour-blind can tell apart, without yellow; markers change when they repeat.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-"""Okabe and Ito's colours, which the colour-blind can tell apart, without yellow; markers change when they repeat."""
-
+# Of the methods, in their order, so that diagrams can be read without colours.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""Of the methods, in their order, so that diagrams can be read without colours."""
-
-MAX_POINTS = 2000
-"""Frames up to which single points are drawn; more would hide the means."""
+MAX_POINTS = 2000  # frames up to which single points are drawn; more would hide the means
 
 
 def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:

@@ -38,24 +38,19 @@ from omnisyn_cli.interpolation.planning.figures import (
 )
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
+# ``subject`` is what was measured: ``frame``, ``kind-psnr``, ``kind-area``, ``kind-error`` (of the pixels of a kind,
+# which ``metric`` names), ``depth``, ``depth-weighted``, ``doubt``, ``reliability-area``, ``reliability-confidence``,
+# ``reliability-within_5``, ``reliability-within_10`` (of a bin of confidence, whose middle ``metric`` is), ``temporal``
+# or ``seconds``; ``name`` is that of the frame or panorama; ``distance`` is to the nearer panorama; lengths in metres.
 CSV_COLUMNS = (
     "scene", "first", "second", "method", "baseline", "subject", "name", "t", "distance", "metric", "value",
 )  # fmt: skip
-"""``subject`` is what was measured: ``frame``, ``kind-psnr``, ``kind-area``, ``kind-error`` (of the pixels of a kind,
-which ``metric`` names), ``depth``, ``depth-weighted``, ``doubt``, ``reliability-area``, ``reliability-confidence``,
-``reliability-within_5``, ``reliability-within_10`` (of a bin of confidence, whose middle ``metric`` is), ``temporal``
-or ``seconds``; ``name`` is that of the frame or panorama; ``distance`` is to the nearer panorama; lengths in metres."""
-
-MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
-"""Characters that mean something in Markdown, and are escaped."""
+MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")  # characters that mean something in Markdown, and are escaped
 
 WS_PSNR = Column("WS-PSNR, dB", 1)
 
-MEMORY = Column("Memory, MB", -1, 0)
-"""The greatest resident size of a run."""
-
-FRONT_MARK, OTHER_MARK = "●", "○"
-"""Whether a setting is on the Pareto front."""
+MEMORY = Column("Memory, MB", -1, 0)  # the greatest resident size of a run
+FRONT_MARK, OTHER_MARK = "●", "○"  # whether a setting is on the Pareto front
 
 
 def write_report(folder: Path, records: Iterable[UnitRecord], about: Mapping[str, str] = MappingProxyType({})) -> None:

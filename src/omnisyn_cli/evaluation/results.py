@@ -20,8 +20,7 @@ from pydantic import ConfigDict, TypeAdapter
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.documents import append_line, complete_lines
 
-RESULTS_NAME = "results.jsonl"
-"""A line per finished unit."""
+RESULTS_NAME = "results.jsonl"  # a line per finished unit
 
 Status = Literal["done", "unavailable", "skipped", "failed"]
 """``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: a scene has no pair that can
@@ -116,8 +115,7 @@ class UnitRecord:
         return values
 
 
-RECORD = TypeAdapter(UnitRecord)
-"""Makes records of the plain values of :meth:`UnitRecord.to_json` again."""
+RECORD = TypeAdapter(UnitRecord)  # makes records of the plain values of :meth:`UnitRecord.to_json` again
 
 
 def mean(values: Iterable[float]) -> float:

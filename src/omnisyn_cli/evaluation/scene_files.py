@@ -12,11 +12,9 @@ from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
 from omnisyn_cli.scenes.paths import FRAMES_PER_WALK, SuiteScene
 
+# Of the panoramas of every scene of the standard set.
 PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
-"""Of the panoramas of every scene of the standard set."""
-
-SUPERSAMPLE = 3
-"""Samples per pixel along each axis of the standard set."""
+SUPERSAMPLE = 3  # samples per pixel along each axis of the standard set
 
 
 def files_of_scene(names: Collection[str], *, with_depth: bool = True) -> list[str]:

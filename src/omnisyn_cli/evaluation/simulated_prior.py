@@ -16,11 +16,9 @@ from omnisyn_cli.stereo.expected_depth import NETWORK_SIZE
 from omnisyn_cli.stereo.monocular_answer import MonocularAnswer
 from omnisyn_cli.types import View
 
-NAME = re.compile(r"simulated\((0?\.\d+)\)")
-"""Of such a prior, with the error."""
-
+NAME = re.compile(r"simulated\((0?\.\d+)\)")  # of such a prior, with the error
+# Full widths at half maximum of the two random fields that the error is the sum of, in equal parts.
 ERROR_WIDTHS_DEG = (60.0, 15.0)
-"""Full widths at half maximum of the two random fields that the error is the sum of, in equal parts."""
 
 
 @dataclass(frozen=True)

@@ -72,6 +72,7 @@ class Means:
     note: str  # a sentence about them
 
 
+# How close pictures are to the true ones.
 FRAMES = Means(
     "Means per method",
     "Frames",
@@ -91,8 +92,7 @@ FRAMES = Means(
     },
     "Mean over all frames between the panoramas; each is compared with the true one.",
 )
-"""How close pictures are to the true ones."""
-
+# The paper's depth table, over all panoramas whose true depth is known.
 DEPTHS = tuple(
     Means(
         f"Depth, {how}",
@@ -114,8 +114,7 @@ DEPTHS = tuple(
     )
     for how, subject in (("every pixel counts alike", "depth"), ("weighted by solid angle", "depth-weighted"))
 )
-"""The paper's depth table, over all panoramas whose true depth is known."""
-
+# What neighbouring true frames and both photographs do not show.
 ARTEFACTS = Means(
     "Changes, flying pixels and shards",
     "Frames",
@@ -129,8 +128,7 @@ ARTEFACTS = Means(
     "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them. "
     "Shards are edges that neither photograph has anywhere near; they need no true frame.",
 )
-"""What neighbouring true frames and both photographs do not show."""
-
+# Whether depth knows where it is wrong.
 CONFIDENCE = Means(
     "What is known of errors of depth",
     "Panoramas",
@@ -146,8 +144,7 @@ CONFIDENCE = Means(
     "matching did not agree. Doubt is 1 − confidence, error is relative (Spearman). Calibration error: how far "
     "confidence is from the share of the values within 10 %, in bins of confidence, on average.",
 )
-"""Whether depth knows where it is wrong."""
-
+# How much consecutive frames differ that should not.
 STEADINESS = Means(
     "Steadiness",
     "Pairs",
@@ -161,8 +158,7 @@ STEADINESS = Means(
     "Warping error: difference of a frame and the next one warped into it along the geometry. Flicker: second "
     "difference in time of each point. At a panorama: root mean square difference from the panorama itself.",
 )
-"""How much consecutive frames differ that should not."""
-
+# Kinds of pixels: every pixel is of one of the first four, and may be of the others as well.
 KINDS = {
     "agree": "Both views agree",
     "disagree": "they disagree",
@@ -172,8 +168,7 @@ KINDS = {
     "top": "Top eighth",
     "bottom": "bottom eighth",
 }
-"""Kinds of pixels: every pixel is of one of the first four, and may be of the others as well."""
-
+# Where pictures are wrong. Nothing is marked: every method has kinds of its own.
 KIND_TABLES = tuple(
     Means(
         title,
@@ -189,17 +184,16 @@ KIND_TABLES = tuple(
         ("Share of the squared error by kind of pixel", "1 is that of the whole picture.", "error", 4),
     )
 )
-"""Where pictures are wrong. Nothing is marked: every method has kinds of its own."""
 
 DIFFERENCE_COLUMNS = (
     Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),
 )  # fmt: skip
 
+# Below tables with standard errors.
 ERROR_NOTE = (
     "± is the standard error over scenes, or over pairs of a single scene. Marked methods beat another one, and none "
     "beats them, by more than chance explains (95 %, paired by frame)."
 )
-"""Below tables with standard errors."""
 
 
 def report_tables(records: Sequence[UnitRecord]) -> list[Table]:

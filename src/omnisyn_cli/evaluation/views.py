@@ -15,11 +15,8 @@ from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-HALF_WAY = "half way"
-"""Name of the frame that is made where there are no true ones."""
-
-MAX_HALF_WAY_ROWS = 512
-"""Rows of that frame at most: what is measured without a true frame does not need more."""
+HALF_WAY = "half way"  # name of the frame that is made where there are no true ones
+MAX_HALF_WAY_ROWS = 512  # rows of that frame at most: what is measured without a true frame does not need more
 
 
 @dataclass(frozen=True)

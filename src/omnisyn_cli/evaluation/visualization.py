@@ -27,37 +27,26 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.outputs import real_path, write_errors
 from omnisyn_cli.types import DepthEstimate
 
+# Mean absolute difference of the channels that has the brightest colour; fixed, so that maps can be compared.
 ERROR_SCALE = 0.25
-"""Mean absolute difference of the channels that has the brightest colour; fixed, so that maps can be compared."""
-
+# Percentile of inverse depth that has the last colour: a few stray near pixels do not darken all the others.
 NEAREST_PERCENTILE = 99.0
-"""Percentile of inverse depth that has the last colour: a few stray near pixels do not darken all the others."""
-
+# RGB of the largest error of each kind: white, magenta, orange, blue.
 KIND_COLOURS = {
     "agree": (255, 255, 255),
     "disagree": (255, 80, 255),
     "one_view": (255, 190, 40),
     "hole": (60, 200, 255),
 }
-"""RGB of the largest error of each kind: white, magenta, orange, blue."""
-
-KIND_MIN_BRIGHTNESS = 0.15
-"""Brightness without any error, so that the area of a kind is seen as well."""
-
-PICTURES_FOLDER = "pictures"
-"""In the folder of a report."""
-
-MAX_NAME_CHARS = 80
-"""Of a scene in a file name: file systems take 255 bytes for all of it."""
-
+KIND_MIN_BRIGHTNESS = 0.15  # brightness without any error, so that the area of a kind is seen as well
+PICTURES_FOLDER = "pictures"  # in the folder of a report
+MAX_NAME_CHARS = 80  # of a scene in a file name: file systems take 255 bytes for all of it
+# The worst frames of each method that are shown, and the panoramas whose depth is.
 FRAMES_PER_METHOD, MAX_PANORAMAS = 4, 8
-"""The worst frames of each method that are shown, and the panoramas whose depth is."""
-
+# Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder.
 THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
-"""Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder."""
-
+# Of the pictures of a frame, by kind.
 FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
-"""Of the pictures of a frame, by kind."""
 
 Pictures = dict[str, str]
 """Pictures side by side: a caption -> the whole file as an address."""

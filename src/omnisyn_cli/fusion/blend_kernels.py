@@ -13,14 +13,11 @@ from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendRule
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, DirectionTables, Layer
 
+# Pixels of a row that are blended together, even: 8 kB of scratch for each of two rows stay in the L1 cache.
 RUN_PIXELS = 512
-"""Pixels of a row that are blended together, even: 8 kB of scratch for each of two rows stay in the L1 cache."""
-
+# ``exp(x)`` is computed as ``exp(x / 2^6)`` squared six times; the small argument makes a short series accurate.
 EXP_SQUARINGS = 6
-"""``exp(x)`` is computed as ``exp(x / 2^6)`` squared six times; the small argument makes a short series accurate."""
-
-MAX_GAP = np.float32(4.0)
-"""Normalised depth gap beyond which a hidden surface's weight is invisible: e⁻¹⁶."""
+MAX_GAP = np.float32(4.0)  # normalised depth gap beyond which a hidden surface's weight is invisible: e⁻¹⁶
 
 
 class LayerRows(NamedTuple):

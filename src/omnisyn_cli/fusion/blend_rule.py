@@ -32,14 +32,10 @@ from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
+# 1/metre added to inverse depths before hole filling compares them: 100 m are as good as infinity. Set by hand.
 FAR_WEIGHT_OFFSET = 0.01
-"""1/metre added to inverse depths before hole filling compares them: 100 m are as good as infinity. Set by hand."""
-
-HIDDEN_WEIGHT = 0.003
-"""Least share of its weight that a hidden surface keeps. Set by hand."""
-
-RAMP_SHARE = 0.1
-"""Of the way at either end, over which visibility sets in, so that nothing pops up there. Set by hand."""
+HIDDEN_WEIGHT = 0.003  # least share of its weight that a hidden surface keeps. Set by hand.
+RAMP_SHARE = 0.1  # of the way at either end, over which visibility sets in, so that nothing pops up there. Set by hand.
 
 
 @dataclass(frozen=True)

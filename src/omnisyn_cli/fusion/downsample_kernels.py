@@ -5,8 +5,8 @@ import numpy as np
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 
+# Rows and columns of a large block that are read: 16 pixels are enough for its mean. Set by hand.
 SAMPLES_PER_BLOCK_SIDE = 4
-"""Rows and columns of a large block that are read: 16 pixels are enough for its mean. Set by hand."""
 
 
 @fast_kernel()

@@ -18,8 +18,8 @@ from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantization_for, quantize
 
+# Pixels of a level up to which one thread fills it alone: starting others takes longer. Set by hand.
 MIN_THREADED_PIXELS = 1 << 16
-"""Pixels of a level up to which one thread fills it alone: starting others takes longer. Set by hand."""
 
 
 class HoleFiller:

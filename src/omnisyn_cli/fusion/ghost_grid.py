@@ -1,13 +1,10 @@
 """The coarse grid of cells in which ghosts are looked for, and which pixels of a frame it samples."""
 
+# Rows of cells in a frame: a cell is 1.4° high, wider than a pixel of displacement by wrong depth. Set by hand.
 GRID_ROWS = 128
-"""Rows of cells in a frame: a cell is 1.4° high, wider than a pixel of displacement by wrong depth. Set by hand."""
-
-MIN_CELL_PIXELS = 4
-"""Side of a cell in pixels at least: wrong depth displaces by pixels, not by angles. Set by hand."""
-
+MIN_CELL_PIXELS = 4  # side of a cell in pixels at least: wrong depth displaces by pixels, not by angles. Set by hand.
+# Pixels that are sampled along the side of a large cell: 16 are enough for its mean. Set by hand.
 SAMPLES_PER_CELL_SIDE = 4
-"""Pixels that are sampled along the side of a large cell: 16 are enough for its mean. Set by hand."""
 
 
 def ghost_cell_size(size: tuple[int, int]) -> int:

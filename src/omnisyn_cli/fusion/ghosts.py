@@ -38,17 +38,12 @@ from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, EdgePixels, Layer
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-MAX_DISPLACEMENT_CELLS = 3
-"""Cells by which wrong depth may displace things. Set by hand."""
-
-UNSEEN_COLOUR = 1e3
-"""Stands for the colour of cells that are not seen, so that they never widen a range."""
-
+MAX_DISPLACEMENT_CELLS = 3  # cells by which wrong depth may displace things. Set by hand.
+UNSEEN_COLOUR = 1e3  # stands for the colour of cells that are not seen, so that they never widen a range
+# Distance from an end of the way at which the weights of both layers are still compared; at the end one is 0.
 MIN_PATH_POSITION = 1e-9
-"""Distance from an end of the way at which the weights of both layers are still compared; at the end one is 0."""
-
+# Label spreading steps between two tests for convergence on a device, where a test waits for it. Set by hand.
 LABEL_STEPS_PER_CHECK = 4
-"""Label spreading steps between two tests for convergence on a device, where a test waits for it. Set by hand."""
 
 COVERAGE_LOG_WEIGHT = 4.0
 """Logarithm of weights that a layer gains over one that sees nothing of a cell: the other would show through the holes.
@@ -56,12 +51,9 @@ COVERAGE_LOG_WEIGHT = 4.0
 Measured on generated walks and pairs with estimated depth: 0.04 dB, of which one home has 0.5; at 50 nothing is left.
 """
 
-VOTE_STEPS = 2.0**20
-"""Parts of 1 in which votes are rounded: sums of whole numbers do not depend on their order."""
-
-
+VOTE_STEPS = 2.0**20  # parts of 1 in which votes are rounded: sums of whole numbers do not depend on their order
+# Least difference of the mean colours of two things in any channel, sRGB values. Set by hand.
 MIN_GHOST_DIFFERENCE = 0.12
-"""Least difference of the mean colours of two things in any channel, sRGB values. Set by hand."""
 
 MIN_OUTSIDE_RANGE = 0.08
 """sRGB values that one colour has to lie outside of the range of the other layer in nearby cells. Set by hand.
@@ -69,8 +61,7 @@ MIN_OUTSIDE_RANGE = 0.08
 A thing that is merely displaced by wrong depth lies inside.
 """
 
-ILLUMINATION_RADIUS = 12
-"""Cells over which a common difference counts as light, not as a thing. Set by hand."""
+ILLUMINATION_RADIUS = 12  # cells over which a common difference counts as light, not as a thing. Set by hand.
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates, make_warp_candidates
 from omnisyn_cli.types import SourceSampler
 
-TILE_COARSE_ROWS = 4
-"""Rows of the smaller size that are averaged together. Set by hand."""
+TILE_COARSE_ROWS = 4  # rows of the smaller size that are averaged together. Set by hand.
 
 
 class InputBuilder:

@@ -36,21 +36,17 @@ FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS = 0, 3, 6, 
 LOG_WEIGHT_RATIO, DEPTH_GAP, SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 13, 14, 15, 17, 18, 19, 20
 """First channel of each group, and their number, see :func:`fusion_input_channels`. Checkpoints depend on them."""
 
+# Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway.
 MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0
-"""Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway."""
 
+# Root mean square difference of two colours up to which the choice between them does not matter, and from which on it
+# matters fully. Set by hand.
 ALIKE_RMS, DIFFERENT_RMS = 0.01, 0.06
-"""Root mean square difference of two colours up to which the choice between them does not matter, and from which on it
-matters fully. Set by hand."""
-
-MIN_WEIGHT_RATIO = 1e-9
-"""Keeps the logarithm finite where one of two weights is 0; far beyond :data:`MAX_LOG_RATIO`."""
-
+MIN_WEIGHT_RATIO = 1e-9  # keeps the logarithm finite where one of two weights is 0; far beyond :data:`MAX_LOG_RATIO`
+# Inverse depth × baseline below which its square root is replaced by a line, so that its slope stays bounded.
 SQRT_LINEAR_LIMIT = 1e-4
-"""Inverse depth × baseline below which its square root is replaced by a line, so that its slope stays bounded."""
-
+# Pixels by which a disagreement of depth is dilated and then blurred. Set by hand.
 DISAGREEMENT_RADIUS, DISAGREEMENT_BLUR_RADIUS = 4, 2
-"""Pixels by which a disagreement of depth is dilated and then blurred. Set by hand."""
 
 Fill = Callable[[Array, Array], Array]
 """Returns a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""

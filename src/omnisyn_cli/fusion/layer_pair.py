@@ -20,8 +20,7 @@ from omnisyn_cli.types import ColourStep, EdgePixels, EdgeSamples, Layer
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-TILE_ROWS = 32
-"""Rows that are shaded and blended together; even, because hole filling halves them. Set by hand."""
+TILE_ROWS = 32  # rows that are shaded and blended together; even, because hole filling halves them. Set by hand.
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,10 @@ from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 Array = Any  # numpy.ndarray or torch.Tensor
 
 
+# 1/metre that differences are relative to at least: two surfaces beyond 1000 km are one, whatever their ratio.
 MIN_INVERSE_DEPTH = 1e-6
-"""1/metre that differences are relative to at least: two surfaces beyond 1000 km are one, whatever their ratio."""
-
+# Pixels from a depth discontinuity up to which errors count as those of the silhouette. Set by hand.
 SILHOUETTE_PIXELS = 2
-"""Pixels from a depth discontinuity up to which errors count as those of the silhouette. Set by hand."""
 
 
 class PixelClasses(NamedTuple):

@@ -25,11 +25,8 @@ from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.sampling import max_pool
 from omnisyn_cli.types import Layer, SourceSampler
 
-SIZE_MULTIPLE = 32
-"""Of the network's input: it halves its input five times."""
-
-MIN_CORRECTION_STRENGTH = 1e-6
-"""Below it the correction could change no colour, so the network is not run."""
+SIZE_MULTIPLE = 32  # of the network's input: it halves its input five times
+MIN_CORRECTION_STRENGTH = 1e-6  # below it the correction could change no colour, so the network is not run
 
 
 def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:

@@ -32,14 +32,10 @@ from omnisyn_cli.fusion.supersampling_kernels import (
 )
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, DirectionTables, EdgePixels, Layer
 
+# Levels of 8 bits by which 3x3 pixels have to vary: below, samples would look like their pixel. Set by hand.
 MIN_CONTRAST_LEVELS = 40
-"""Levels of 8 bits by which 3x3 pixels have to vary: below, samples would look like their pixel. Set by hand."""
-
-TILE_ROWS = 64
-"""Rows whose edge pixels are sampled together. Set by hand."""
-
-MIN_SUPERSAMPLING_SHARE = 1.0 / 512.0
-"""Share of the mean below which no level of 8 bits changes."""
+TILE_ROWS = 64  # rows whose edge pixels are sampled together. Set by hand.
+MIN_SUPERSAMPLING_SHARE = 1.0 / 512.0  # share of the mean below which no level of 8 bits changes
 
 
 class EdgeSupersampler:

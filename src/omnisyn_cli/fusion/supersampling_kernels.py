@@ -8,11 +8,8 @@ from omnisyn_cli.fusion.pixel_classes import MIN_INVERSE_DEPTH
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS
 
-FIRST_LAYER_EDGE, SECOND_LAYER_EDGE = 1, 2
-"""Bits of a mark: which layer has a depth discontinuity there."""
-
-SKIP_COLUMNS = 64
-"""Pixels that are skipped together if none of them is marked: most rows have no edges. Set by hand."""
+FIRST_LAYER_EDGE, SECOND_LAYER_EDGE = 1, 2  # bits of a mark: which layer has a depth discontinuity there
+SKIP_COLUMNS = 64  # pixels that are skipped together if none of them is marked: most rows have no edges. Set by hand.
 
 
 @fast_kernel()

@@ -47,23 +47,17 @@ CROSS_VIEW, CANDIDATE_RGB, HYPOTHESIS_DEPTHS, HYPOTHESIS_OCCLUSION, CANDIDATE_DI
 CANDIDATE_CHANNELS = 32
 """First channel of each group that the candidates add, and how many they add. Checkpoints depend on them."""
 
+# Candidates are sampled at so many times the height of the network's input, and averaged. Set by hand.
 CANDIDATE_SCALE = 2
-"""Candidates are sampled at so many times the height of the network's input, and averaged. Set by hand."""
-
+# Pixels, at the size of the candidates, within which the nearest and the farthest surface are taken. Set by hand.
 HYPOTHESIS_WINDOW_RADIUS = 4
-"""Pixels, at the size of the candidates, within which the nearest and the farthest surface are taken. Set by hand."""
-
+# Inverse depth × baseline that occlusion is relative to at least: parallax below 0.06° says nothing.
 MIN_SCALED_INVERSE_DEPTH = 1e-3
-"""Inverse depth × baseline that occlusion is relative to at least: parallax below 0.06° says nothing."""
-
+# Relative difference of inverse depth at which the occlusion channels saturate, as ``DEPTH_GAP`` does.
 MAX_OCCLUSION = OCCLUSION_SCALE * MAX_GAP
-"""Relative difference of inverse depth at which the occlusion channels saturate, as ``DEPTH_GAP`` does."""
-
+# Below it a candidate is not sampled, which saves time; up to twice that it fades in. A fresh network gives less.
 MIN_CANDIDATE_WEIGHT = np.float32(0.02)
-"""Below it a candidate is not sampled, which saves time; up to twice that it fades in. A fresh network gives less."""
-
-NOT_SEEN_INVERSE_DEPTH = np.float32(1e9)
-"""Stands for unseen pixels in a minimum, because it is nearer than everything."""
+NOT_SEEN_INVERSE_DEPTH = np.float32(1e9)  # stands for unseen pixels in a minimum, because it is nearer than everything
 
 Picture = Shaped[np.ndarray, "height width 3"]
 

@@ -16,14 +16,12 @@ from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.poses.file import PosedPanorama
 
+# Fields of a job that mean nothing to the methods that it is compared with.
 SURFACE_FIELDS = (
     "preset", "depth", "model", "depth_prior", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback",
     "save_confidence", "save_depth", "view",
 )  # fmt: skip
-"""Fields of a job that mean nothing to the methods that it is compared with."""
-
-MAX_NADIR_RADIANS = math.radians(90.0)
-"""A cap that is no hemisphere yet."""
+MAX_NADIR_RADIANS = math.radians(90.0)  # a cap that is no hemisphere yet
 
 
 def check_names(job: TourJob) -> None:

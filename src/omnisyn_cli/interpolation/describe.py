@@ -20,17 +20,14 @@ BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
 VIDEO_SUFFIXES = (*BOXED_SUFFIXES, ".mkv", ".webm", ".avi")
 """Files of ISO boxes, which can hold spherical metadata; files that FFmpeg describes."""
 
-PROBE_SECONDS = 60
-"""After which FFmpeg is given up. Set by hand."""
-
+PROBE_SECONDS = 60  # after which FFmpeg is given up. Set by hand.
+# What FFmpeg prints of a video stream.
 VIDEO_STREAM = re.compile(
     r"Stream #\S+ Video: (?P<codec>\w+).*?, (?P<pixel_format>[a-z]\w+)(?:\((?P<colour>[^)]*)\))?"
     r".*?, (?P<width>\d+)x(?P<height>\d+)(?:.*?, (?P<fps>[\d.]+k?) fps)?"
 )
-"""What FFmpeg prints of a video stream."""
-
+# What FFmpeg prints of the length: hours, minutes, seconds.
 DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
-"""What FFmpeg prints of the length: hours, minutes, seconds."""
 
 
 def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False) -> dict[str, Any]:

@@ -20,12 +20,10 @@ from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
 
 Positive = Annotated[float, Gt(0)]
 
+# Fields of a job that name what is written, as in a manifest.
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
-"""Fields of a job that name what is written, as in a manifest."""
-
-POSES_FROM_PICTURES = Path("auto")
-"""Stands for a pose file where there is none."""
-
+POSES_FROM_PICTURES = Path("auto")  # stands for a pose file where there is none
+# Names that fields of a job take.
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "method": tuple(name for name, method in METHODS.items() if method.is_offered),
     "preset": tuple(PRESETS),
@@ -39,7 +37,6 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
     "projection": ("equirectangular", "flat"),
     "stereo": ("mono", "top-bottom"),
 }
-"""Names that fields of a job take."""
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,12 @@ from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.render.raster_kernels import rasterize_blocks
 
+# Rows and columns of its panoramas: enough for every stage, the fusion network too; next to nothing to compute.
 TINY_SIZE = (64, 128)
-"""Rows and columns of its panoramas: enough for every stage, the fusion network too; next to nothing to compute."""
 
+# The library starts no further process. Two threads have the kernels that one alone can do without, and soft surfaces
+# (``fallback``) would do without the network. Simplified meshes (``adaptive``) are left to the first process, which
+# comes to them early: it would be waited for.
 TINY_VIDEO = """
 import sys
 from pathlib import Path
@@ -34,9 +37,6 @@ pictures = [folder / "0.png", folder / "1.png"]
 options = {"fusion": "network", "fallback": "none", "adaptive": False, "frames": 3, "threads": 2}
 interpolate(pictures, folder / sys.argv[2], folder / "video.mp4", **options)
 """
-"""The library starts no further process. Two threads have the kernels that one alone can do without, and soft surfaces
-(``fallback``) would do without the network. Simplified meshes (``adaptive``) are left to the first process, which comes
-to them early: it would be waited for."""
 
 
 @contextmanager

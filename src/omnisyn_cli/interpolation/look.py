@@ -13,8 +13,7 @@ from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
 from omnisyn_cli.io.documents import read_keyframes
 from omnisyn_cli.synthesis.trajectory import Waypoint
 
-LOOK_AHEAD, LOOK_FIRST = "ahead", "first"
-"""Words for directions."""
+LOOK_AHEAD, LOOK_FIRST = "ahead", "first"  # words for directions
 
 
 def look_along(path: Sequence[Waypoint], first: Pose, look: str) -> tuple[Waypoint, ...]:

@@ -24,11 +24,8 @@ from omnisyn_cli.poses.floor import height_in_depth
 from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, diagnosis_sentences
 from omnisyn_cli.types import View
 
-PICTURE_COLUMNS = 1024
-"""Width of the pictures in the page: half of a screen."""
-
-NEAR_PERCENTILE = 98.0
-"""Of inverse depth, which is shown as the nearest."""
+PICTURE_COLUMNS = 1024  # width of the pictures in the page: half of a screen
+NEAR_PERCENTILE = 98.0  # of inverse depth, which is shown as the nearest
 
 
 def write_pair_report(job: TourJob) -> TourPlan:

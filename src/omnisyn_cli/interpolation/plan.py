@@ -31,30 +31,19 @@ from omnisyn_cli.poses.tour_file import read_tour
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Heading, Waypoint, path_length, plan_path
 
-SECONDS_PER_PAIR = 3.0
-"""Length of the video between two panoramas unless the user says otherwise."""
-
+SECONDS_PER_PAIR = 3.0  # length of the video between two panoramas unless the user says otherwise
+# Of a flat video, unless the user says otherwise: height and width, and the angle that its width spans.
 FLAT_SIZE, DEFAULT_FOV = (1080, 1920), math.radians(90.0)
-"""Of a flat video, unless the user says otherwise: height and width, and the angle that its width spans."""
-
-MAX_PLAUSIBLE_BASELINE_METRES = 100.0
-"""Farther apart, panoramas have nothing in common: more is worth a note."""
-
+MAX_PLAUSIBLE_BASELINE_METRES = 100.0  # farther apart, panoramas have nothing in common: more is worth a note
+# Height and width that outputs are checked for before those of the video are known: any codec takes them.
 LIKELY_SIZE = (512, 1024)
-"""Height and width that outputs are checked for before those of the video are known: any codec takes them."""
+MAX_FRAMES = 1_000_000  # nine hours; more is taken for a mistake
 
-MAX_FRAMES = 1_000_000
-"""Nine hours; more is taken for a mistake."""
-
+# Rows of a panorama for each row of a frame that are read, as a frame near a surface magnifies it. Rows to which they
+# are reduced at the most: depth of more is not more accurate. Factor below which a panorama is read as it is.
 READING_SHARE, MIN_READING_ROWS, MIN_REDUCTION = 2, 2048, 1.25
-"""Rows of a panorama for each row of a frame that are read, as a frame near a surface magnifies it. Rows to which they
-are reduced at the most: depth of more is not more accurate. Factor below which a panorama is read as it is."""
-
-MAX_KEPT_NEIGHBOURS = 3
-"""Of a panorama at a crossing, besides the pair at work; others are read again."""
-
-CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}
-"""As people write them."""
+MAX_KEPT_NEIGHBOURS = 3  # of a panorama at a crossing, besides the pair at work; others are read again
+CODEC_NAMES = {"h264": "H.264", "h265": "H.265", "av1": "AV1", "prores": "ProRes"}  # as people write them
 
 
 @dataclass(frozen=True)

@@ -20,20 +20,17 @@ from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, is_plausible_camera_height
 from omnisyn_cli.synthesis.trajectory import path_length
 
+# Least score of a word. Set by hand.
 CONFIDENCE_WORDS = ((0.6, "high"), (0.45, "medium"), (MIN_PAIR_SCORE, "low"), (0.0, "very low"))
-"""Least score of a word. Set by hand."""
-
+# Of the sphere that may be unseen, in disagreement or inconsistent without advice about it. Set by hand.
 MAX_GOOD_SHARE = 0.02
-"""Of the sphere that may be unseen, in disagreement or inconsistent without advice about it. Set by hand."""
-
+# Eighths of a turn, clockwise from the centre of the picture.
 DIRECTIONS = (
     "ahead", "ahead to the right", "to the right", "behind to the right", "behind", "behind to the left",
     "to the left", "ahead to the left",
 )  # fmt: skip
-"""Eighths of a turn, clockwise from the centre of the picture."""
-
+# Elevations from which on a direction is straight up or down, and below which it is level.
 MIN_STEEP_DEG, MAX_LEVEL_DEG = 60.0, 15.0
-"""Elevations from which on a direction is straight up or down, and below which it is level."""
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,10 @@ from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 FILLED_CHANNEL = 3  # Input channel with the filled √(inverse depth × baseline) that is corrected
 CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6  # Input channels where matching is reliable: left-right consistent, or sky
 
+# Scale of the corrections. A small one lets a fresh network leave the filled map nearly as it is.
 CORRECTION_SCALE = 0.3
-"""Scale of the corrections. A small one lets a fresh network leave the filled map nearly as it is."""
-
+# Powers of the cosine between two positions that the attention bias is a linear function of: a smooth falloff.
 COSINE_POWERS = 4
-"""Powers of the cosine between two positions that the attention bias is a linear function of: a smooth falloff."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,12 @@ class CompletionConfig(RefinementUNetConfig):
     attention_layers: int
 
 
+# The networks by name.
 COMPLETION_VARIANTS = {
     "balanced": CompletionConfig(
         "balanced", channels=19, widths=(32, 64, 96, 144, 192), fine=24, heads=6, attention_layers=2
     )
 }
-"""The networks by name."""
 
 
 @dataclass(frozen=True)

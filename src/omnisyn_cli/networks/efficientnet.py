@@ -14,11 +14,11 @@ from torch.nn import functional
 
 from omnisyn_cli.networks.layers import wrap_columns
 
+# Repeats, kernel, stride of the first block, expansion, channels in and out.
 STAGES = (
     (1, 3, 1, 1, 32, 16), (2, 3, 2, 6, 16, 24), (2, 5, 2, 6, 24, 40), (3, 3, 2, 6, 40, 80), (3, 5, 1, 6, 80, 112),
     (4, 5, 2, 6, 112, 192), (1, 3, 1, 6, 192, 320),
 )  # fmt: skip
-"""Repeats, kernel, stride of the first block, expansion, channels in and out."""
 
 TAPS = (0, 2, 4, 10, 15)  # Blocks whose output is a feature map: the last ones at strides 2, 4, 8, 16 and 32
 CHANNELS = (16, 24, 40, 112, 320)  # Of the feature maps at strides 2, 4, 8, 16 and 32

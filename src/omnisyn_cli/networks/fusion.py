@@ -22,14 +22,14 @@ from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
 from omnisyn_cli.networks.paper import RGB_CHANNELS, Block, upsample_linear
 from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
+# Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
+# of the depth hypotheses.
 SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 46)
-"""Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
-of the depth hypotheses."""
 
 MIN_SURFACE_DIFFERENCE = 0.06  # Relative difference of inverse depth between two depth hypotheses of different surfaces
 
+# Floor of inverse depth × baseline in relative differences: a thousandth moves a pixel by nothing.
 MIN_INVERSE_DEPTH = 1e-3
-"""Floor of inverse depth × baseline in relative differences: a thousandth moves a pixel by nothing."""
 
 INITIAL_LOGIT_GAP = 4.0  # A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is
 LOGIT_SCALE = 8.0  # Factor on the output of the last convolution, which begins at zero: it leaves that sooner
@@ -52,12 +52,12 @@ class FusionConfig(RefinementUNetConfig):
         return int(2 ** (len(self.widths) - self.is_direct))
 
 
+# The networks by name; the last is the paper's with a quarter of the channels.
 FUSION_VARIANTS = {
     "residual": FusionConfig("residual", channels=52, widths=(48, 64, 96, 128, 128), fine=24),
     "paper": FusionConfig("paper", channels=8, widths=(16, 32, 64, 128, 256, 512, 1024), is_direct=True),
     "paper-narrow": FusionConfig("paper-narrow", channels=8, widths=(4, 8, 16, 32, 64, 128, 256), is_direct=True),
 }
-"""The networks by name; the last is the paper's with a quarter of the channels."""
 
 
 class ResidualFusionUNet(RefinementUNet):

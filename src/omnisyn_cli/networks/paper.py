@@ -131,14 +131,12 @@ def upsample_linear(x: Tensor, factor: int) -> Tensor:
 FEATURE_STRIDE = 4  # Pixels of the image per cell of the sphere volume
 MAX_INVERSE_DEPTH = 4.0  # Largest inverse depth × baseline that is predicted: a quarter of the baseline away
 
+# Relative difference between the heads at which the confidence is a half: a tenth, as confidence is of 10 %.
 HALF_CONFIDENCE_DIFFERENCE = 0.1
-"""Relative difference between the heads at which the confidence is a half: a tenth, as confidence is of 10 %."""
-
+# Inverse depth × baseline below which differences are no longer relative: twenty baselines away.
 MIN_RELATIVE_INVERSE_DEPTH = 0.05
-"""Inverse depth × baseline below which differences are no longer relative: twenty baselines away."""
-
+# Inverse depth × baseline that a fresh network's low head predicts everywhere, more or less: four baselines away.
 INITIAL_INVERSE_DEPTH = 0.25
-"""Inverse depth × baseline that a fresh network's low head predicts everywhere, more or less: four baselines away."""
 
 INITIAL_COLOUR_WEIGHT = 2.0  # How much less a fresh network weighs a sphere where colours differ by one
 RANDOM_INIT_SCALE = 0.1  # Factor on the random weights beside the colour sweep, so that they do not drown it
@@ -168,12 +166,12 @@ class PaperConfig(NetworkConfig):
         return float(MAX_INVERSE_DEPTH**0.5)
 
 
+# The network by name: with square pixels, with the authors' square images, and with a quarter of the channels.
 PAPER_VARIANTS = {
     "paper": PaperConfig("paper", (256, 512)),
     "paper-square": PaperConfig("paper-square", (256, 256)),
     "paper-narrow": PaperConfig("paper-narrow", (256, 512), (4, 8, 16, 32, 64, 128), (16, 32, 64, 128)),
 }
-"""The network by name: with square pixels, with the authors' square images, and with a quarter of the channels."""
 
 
 @dataclass(frozen=True)

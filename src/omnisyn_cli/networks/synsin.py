@@ -26,11 +26,10 @@ from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_lea
 from omnisyn_cli.networks.paper import RGB_CHANNELS, row_channel
 from omnisyn_cli.networks.unet import Hourglass
 
+# √(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large.
 INITIAL_SQRT_INV_DEPTH = 0.4
-"""√(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large."""
-
+# Floor of the opacity that colours of points are divided by: pixels without points stay dark.
 MIN_DIVISOR_OPACITY = 0.05
-"""Floor of the opacity that colours of points are divided by: pixels without points stay dark."""
 
 
 @dataclass(frozen=True)

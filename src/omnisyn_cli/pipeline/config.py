@@ -12,12 +12,10 @@ from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
 
 __all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size"]
 
+# What pairs of low confidence get besides a warning: a smooth surface where depth is not confirmed, the photographs
+# cross-faded in doubtful regions, nothing; or an error.
 FALLBACKS = ("soft", "crossfade", "none", "fail")
-"""What pairs of low confidence get besides a warning: a smooth surface where depth is not confirmed, the photographs
-cross-faded in doubtful regions, nothing; or an error."""
-
-DEVICES = ("auto", "cpu", "cuda")
-"""That networks run on."""
+DEVICES = ("auto", "cpu", "cuda")  # that networks run on
 
 
 def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:

@@ -21,15 +21,13 @@ if TYPE_CHECKING:
 Size = tuple[int, int]
 EstimatorMaker = Callable[["DepthSource", Callable[..., Any], "int | None"], "DepthEstimator"]
 
-SYNSIN_DEPTH = "synsin-depth"
-"""Name in the manifest of the network that finds depth in one panorama."""
-
+SYNSIN_DEPTH = "synsin-depth"  # name in the manifest of the network that finds depth in one panorama
+# Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures.
 PROGRAM_BYTES = 345e6
-"""Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures."""
 
+# Of the network that says what to expect, whose input has one size; measured likewise. Only a run knows whether a pair
+# needs it, so a plan counts it always.
 PRIOR_BYTES = 110e6
-"""Of the network that says what to expect, whose input has one size; measured likewise. Only a run knows whether a pair
-needs it, so a plan counts it always."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +165,7 @@ def _make_monocular(source: DepthSource, network: Callable[..., Any], threads: i
     return MonocularDepthEstimator(network(source.model))
 
 
+# By name, in the order of the help. Memory was measured as the peak of runs that differ in nothing else.
 DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
     DepthStrategy(
         "file", "depth files named in the poses", _make_files, _file_sizes, reads_files=True, program_bytes=275e6,
@@ -183,7 +182,6 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
         model=SYNSIN_DEPTH, program_bytes=370e6,
     ),
 )  # fmt: skip
-"""By name, in the order of the help. Memory was measured as the peak of runs that differ in nothing else."""
 
 
 def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | None = None) -> DepthEstimator:

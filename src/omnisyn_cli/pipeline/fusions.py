@@ -14,8 +14,7 @@ from omnisyn_cli.pipeline.choices import by_name, chosen
 if TYPE_CHECKING:
     from omnisyn_cli.types import Fuser
 
-MAX_PAINTED_PIXELS = 2 * 1024**2
-"""Of the largest picture that a network paints; larger frames are enlarged."""
+MAX_PAINTED_PIXELS = 2 * 1024**2  # of the largest picture that a network paints; larger frames are enlarged
 
 
 @dataclass(frozen=True)
@@ -66,6 +65,7 @@ def _make_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
     return DirectFuser(settings.size, FusionSession(network(), "colour"), threads=settings.threads)
 
 
+# By name, the default first. Memory was measured as the peak of runs that differ in nothing else.
 FUSIONS: Mapping[str, FusionStrategy] = by_name(
     FusionStrategy("geometric", "a visibility rule", _make_geometric),
     FusionStrategy(
@@ -77,7 +77,6 @@ FUSIONS: Mapping[str, FusionStrategy] = by_name(
         network_bytes=lambda pixels: 230.0 * min(pixels, MAX_PAINTED_PIXELS), by_rules=False,
     ),
 )  # fmt: skip
-"""By name, the default first. Memory was measured as the peak of runs that differ in nothing else."""
 
 
 def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, device: str = "auto") -> Fuser:

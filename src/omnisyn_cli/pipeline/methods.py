@@ -17,11 +17,8 @@ if TYPE_CHECKING:
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
     from omnisyn_cli.types import DepthEstimator, Fuser
 
-OMNISYN = "omnisyn"
-"""The method of this program: surfaces from estimated depth, fused."""
-
-SYNSIN_MODELS = (SYNSIN_DEPTH, "synsin-encoder", "synsin-decoder")
-"""Names of SynSin's networks in the manifest."""
+OMNISYN = "omnisyn"  # the method of this program: surfaces from estimated depth, fused
+SYNSIN_MODELS = (SYNSIN_DEPTH, "synsin-encoder", "synsin-decoder")  # names of SynSin's networks in the manifest
 
 
 @dataclass(frozen=True)
@@ -90,6 +87,7 @@ _SYNSIN: Mapping[str, Any] = {
     "note": "makes pictures of the size of its networks and enlarges them: expect them to be blurred",
 }  # fmt: skip
 
+# By name, this program's own first.
 METHODS: Mapping[str, MethodStrategy] = by_name(
     MethodStrategy(OMNISYN, "depth, mesh, fusion", _make_surfaces, draws_surfaces=True, is_offered=True),
     MethodStrategy("crossfade", "cross-fade of both rotated panoramas", _make_crossfade),
@@ -97,4 +95,3 @@ METHODS: Mapping[str, MethodStrategy] = by_name(
     MethodStrategy("synsin", "SynSin from the nearer panorama", partial(_make_synsin, sources=1), **_SYNSIN),
     MethodStrategy("synsin-2view", "SynSin from both panoramas", partial(_make_synsin, sources=2), **_SYNSIN),
 )  # fmt: skip
-"""By name, this program's own first."""

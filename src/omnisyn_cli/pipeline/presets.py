@@ -22,12 +22,12 @@ def _refined(rows: int, prior: str | None = None, **changes: Any) -> RunConfig:
     return RunConfig(DepthSource("refined", rows, "completion-balanced", prior), adaptive=True, **changes)
 
 
+# By name, from the fastest to the most accurate.
 SCALE: Mapping[str, Preset] = by_name(
     Preset("fast", "13 s, 24.3 dB; for drafts", _refined(384, edges=False)),
     Preset("balanced", "33 s, 26.1 dB; the default", _refined(1024, "depth-guided", fusion="network")),
 )
-"""By name, from the fastest to the most accurate."""
-
+# By name: what others do, to compare with. They have no place on the scale, and no budget of time chooses them.
 REPRODUCTIONS: Mapping[str, Preset] = by_name(
     Preset(
         "paper", "for comparison; less accurate than fast",
@@ -37,10 +37,6 @@ REPRODUCTIONS: Mapping[str, Preset] = by_name(
         ),
     ),
 )  # fmt: skip
-"""By name: what others do, to compare with. They have no place on the scale, and no budget of time chooses them."""
-
+# By name: those of :data:`SCALE` in their order, then :data:`REPRODUCTIONS`.
 PRESETS: Mapping[str, Preset] = MappingProxyType({**SCALE, **REPRODUCTIONS})
-"""By name: those of :data:`SCALE` in their order, then :data:`REPRODUCTIONS`."""
-
-DEFAULT_PRESET = "balanced"
-"""Taken where the user names none."""
+DEFAULT_PRESET = "balanced"  # taken where the user names none

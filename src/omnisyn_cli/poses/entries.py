@@ -19,15 +19,15 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_quaternion,
 )
 
+# Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits.
 UNIT_TOLERANCE = 1e-3
-"""Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits."""
 
 POSITION_TOLERANCE = 1e-6  # Metres by which a position and a 4×4 matrix may disagree, and deviation of its last row
 MAX_COORDINATE = 1e8  # Metres, more than twice around the earth; coordinates beyond are a mistake in units
 MAX_TEXT_CHARS = 2000  # Of a title, a caption or the text of a hotspot
 
+# Those that no text of a user has; a line may end.
 CONTROL_CHARACTERS = re.compile(r"[\0-\x09\x0b-\x1f\x7f\ud800-\udfff]")
-"""Those that no text of a user has; a line may end."""
 
 Metres = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 

@@ -46,11 +46,10 @@ from omnisyn_cli.types import View
 
 DEFAULT_BASELINE = 1.0  # Metres between two panoramas where no baseline is given
 
+# Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it.
 FLOOR_QUANTILE = 0.75
-"""Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it."""
-
+# Of a set that each panorama is compared with, besides its neighbours: those that share most features.
 LIKE_PANORAMAS = 2
-"""Of a set that each panorama is compared with, besides its neighbours: those that share most features."""
 
 
 @dataclass(frozen=True)

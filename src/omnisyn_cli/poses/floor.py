@@ -20,26 +20,23 @@ from omnisyn_cli.types import DepthEstimate, View
 
 FLOOR_SIZE = (256, 512)  # Height and width of the pair in which planes are found: twice that of the sweep, for the fit
 
+# A level plane may be the floor with this share of the support of the best one: furniture hides much of a floor. Chosen
+# on the even pairs of ``bench_poses.py``, between floors below a table (0.67) and noise below a floor (0.11).
 MIN_FLOOR_SHARE = 0.4
-"""A level plane may be the floor with this share of the support of the best one: furniture hides much of a floor.
-Chosen on the even pairs of ``bench_poses.py``, between floors below a table (0.67) and noise below a floor (0.11)."""
-
+# Of the heights of two planes, up to which the worse one is the flank of the better one: four steps of a sweep.
 FLANK_RATIO = 1.28
-"""Of the heights of two planes, up to which the worse one is the flank of the better one: four steps of a sweep."""
-
+# Relative step at which the sweeps of all pairs are added: half of that of a sweep. Also of levels in depth.
 HEIGHT_STEP = 0.03
-"""Relative step at which the sweeps of all pairs are added: half of that of a sweep. Also of levels in depth."""
 
+# Sine of the angle (12°) below the horizon from which on depth says at which level a point is, and the share of what is
+# below that the floor has to be.
 MIN_DEPRESSION_SINE, MIN_LEVEL_SHARE = 0.2, 0.15
-"""Sine of the angle (12°) below the horizon from which on depth says at which level a point is, and the share of what
-is below that the floor has to be."""
-
+# Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres.
 SAME_FLOOR_RATIO = 1.13
-"""Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres."""
 
+# What floors slope by, and how many pixels outweigh that: neighbouring ones do not match independently. Without it a
+# floor of which little is seen tilts by up to 10°, and its height is off by a quarter.
 FLOOR_SLOPE, SLOPE_PIXELS = math.radians(2.0), 200.0
-"""What floors slope by, and how many pixels outweigh that: neighbouring ones do not match independently. Without it a
-floor of which little is seen tilts by up to 10°, and its height is off by a quarter."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from omnisyn_cli.geometry.sphere import normalize
 Link = tuple[str, str]
 """Names of two panoramas that one walks between, in either direction."""
 
+# Relative difference below which two distances are equal, so that a square grid has no links across.
 NEIGHBOUR_TOLERANCE = 1e-6
-"""Relative difference below which two distances are equal, so that a square grid has no links across."""
 
 
 @dataclass(frozen=True)

@@ -10,29 +10,22 @@ from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render.quad_blocks import BLOCK, PlacedQuads
 from omnisyn_cli.render.simd import LANES, broadcast, load, store
 
+# Quads that span more azimuth than this are near a pole or the camera: their boxes have all columns. Set by hand.
 WIDE_QUAD_RADIANS = 0.5
-"""Quads that span more azimuth than this are near a pole or the camera: their boxes have all columns. Set by hand."""
-
+# Added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns.
 BOX_MARGIN_PIXELS = 0.05
-"""Added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns."""
-
+# Points of an edge are assumed to be at least this share as far as the nearer of its ends. Set by hand.
 MIN_EDGE_DISTANCE_RATIO = 0.5
-"""Points of an edge are assumed to be at least this share as far as the nearer of its ends. Set by hand."""
-
+# Wide quads inside a spherical cap of at most this radius get a tight box after all. Set by hand, below π/2.
 MAX_CAP_RADIANS = 1.4
-"""Wide quads inside a spherical cap of at most this radius get a tight box after all. Set by hand, below π/2."""
 
 X, Y, Z, INVERSE_DEPTH, ROW, COL = range(6)
 """Rows of a block, the scratch array of 64 quads: points in the frame of the target, and the pixels they project to."""
 
+# Rows with the boxes of the quads. Columns may lie outside the image: then they wrap.
 FIRST_ROW, LAST_ROW, FIRST_COL, LAST_COL = range(6, 10)
-"""Rows with the boxes of the quads. Columns may lie outside the image: then they wrap."""
-
-FIRST_FREE_ROW = 10
-"""The first row for others."""
-
-MAX_BLOCK_POINTS = 4 * BLOCK + 2 * LANES
-"""Corners of a block's quads, and room for two more vectors."""
+FIRST_FREE_ROW = 10  # the first row for others
+MAX_BLOCK_POINTS = 4 * BLOCK + 2 * LANES  # corners of a block's quads, and room for two more vectors
 
 
 @subkernel()

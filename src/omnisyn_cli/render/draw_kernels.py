@@ -42,17 +42,11 @@ from omnisyn_cli.render.quad_kernels import (
 )
 from omnisyn_cli.render.simd import LANES, broadcast, load, load_halves, pair, store, store_halves, where
 
+# Width of a box from which on spans are found: below, testing three vectors is cheaper. Set by hand.
 MIN_SPAN_COLUMNS = 24
-"""Width of a box from which on spans are found: below, testing three vectors is cheaper. Set by hand."""
-
-SPAN_ROWS = 64
-"""Rows whose spans are found together, in vectorised loops. Set by hand."""
-
-COSINE_SLACK = 1e-6
-"""Relative error of float32 in the cosine of a span's end, by which spans are widened."""
-
-SPAN_MARGIN_COLUMNS = 0.5
-"""Added to both ends of spans: more than the error of the fast arctangent at 16384 columns."""
+SPAN_ROWS = 64  # rows whose spans are found together, in vectorised loops. Set by hand.
+COSINE_SLACK = 1e-6  # relative error of float32 in the cosine of a span's end, by which spans are widened
+SPAN_MARGIN_COLUMNS = 0.5  # added to both ends of spans: more than the error of the fast arctangent at 16384 columns
 
 
 class Target(NamedTuple):

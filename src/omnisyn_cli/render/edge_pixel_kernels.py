@@ -26,8 +26,7 @@ from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, IN_FLOAT32, PRECISION, S
 from omnisyn_cli.render.simd import LANES, broadcast, load_halves, pair, store_halves, where
 from omnisyn_cli.types import EDGE_TILE_COLUMNS
 
-HALF_LANES = LANES // 2
-"""Samples of a row that are tested together, with those below them."""
+HALF_LANES = LANES // 2  # samples of a row that are tested together, with those below them
 
 
 @kernel()

@@ -18,14 +18,10 @@ from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.compute.threads import run_ranges
 
-EYE_DISTANCE = 0.064
-"""Metres between the eyes of most people."""
-
+EYE_DISTANCE = 0.064  # metres between the eyes of most people
+# Columns that neighbouring columns may come to lie apart; beyond, one of them hides what opens between them.
 MAX_STRETCH = 2.0
-"""Columns that neighbouring columns may come to lie apart; beyond, one of them hides what opens between them."""
-
-MAX_SINE = 0.5
-"""Of the shift: nothing is nearer than the eyes' distance."""
+MAX_SINE = 0.5  # of the shift: nothing is nearer than the eyes' distance
 
 
 def top_bottom(

@@ -47,14 +47,10 @@ from omnisyn_cli.render.surface_confidence import quarter_confidence
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
+# Of masked vertices: any negative number would do, a small one keeps float32 exact beside them.
 MASKED_INVERSE_DEPTH = -1e-9
-"""Of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
-
-MIN_INVERSE_DEPTH = 1e-12
-"""1/metre that steps are relative to at least, so that nothing is cut at infinity."""
-
-CUT_QUADS_AT_A_TIME = 1 << 12
-"""Cut quads of which pieces are made at a time, to bound memory. Set by hand."""
+MIN_INVERSE_DEPTH = 1e-12  # 1/metre that steps are relative to at least, so that nothing is cut at infinity
+CUT_QUADS_AT_A_TIME = 1 << 12  # cut quads of which pieces are made at a time, to bound memory. Set by hand.
 
 
 @dataclass(frozen=True)
@@ -252,8 +248,8 @@ class Surface:
         return np.asarray(np.take_along_axis(self.corner[quad], TRIANGLES[faces % 2], axis=1))
 
 
+# Corners of the two triangles of a quad that is split from its first corner to its fourth.
 TRIANGLES = np.array([(0, 3, 2), (0, 1, 3)])
-"""Corners of the two triangles of a quad that is split from its first corner to its fourth."""
 
 
 @dataclass(frozen=True)

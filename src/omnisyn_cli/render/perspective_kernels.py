@@ -30,8 +30,7 @@ from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, IN_FLOAT32, PRECISION, S
 from omnisyn_cli.render.raster_kernels import NO_FACE
 from omnisyn_cli.render.simd import LANES
 
-MIN_PROJECTED_SHARE = 1e-3
-"""Share of its distance that a corner has to be in front of the camera to be projected."""
+MIN_PROJECTED_SHARE = 1e-3  # share of its distance that a corner has to be in front of the camera to be projected
 
 
 @inlined()

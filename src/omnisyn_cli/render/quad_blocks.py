@@ -13,19 +13,14 @@ from jaxtyping import Float, Float32, Integer, UInt8
 TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
 CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
 """Flags of a quad: which of its edges are cut."""
-DIAGONAL = 16
-"""Flag of a quad that is split from bottom left to top right; without it, from top left to bottom right."""
-HOLE_FLAG = 32
-"""Flag of a quad that is not drawn."""
+DIAGONAL = 16  # flag of a quad that is split from bottom left to top right; without it, from top left to bottom right
+HOLE_FLAG = 32  # flag of a quad that is not drawn
 FACES_PER_QUAD = 8
 FACES_PER_QUARTER = 2
 """Triangles, at most: two in each of the four quarters of a quad with cut edges."""
 
-BLOCK = 64
-"""Quads that are set up together, and culled together by their range of target pixels. Set by hand."""
-
-_CLOCKWISE_CORNERS = (0, 1, 3, 2)
-"""The corners of a quad; the edge after the k-th of them is bit k of its flags."""
+BLOCK = 64  # quads that are set up together, and culled together by their range of target pixels. Set by hand.
+_CLOCKWISE_CORNERS = (0, 1, 3, 2)  # the corners of a quad; the edge after the k-th of them is bit k of its flags
 
 
 def _mean_of(*places: int) -> np.ndarray:
@@ -85,8 +80,7 @@ class PlacedQuads(NamedTuple):
     gaps: np.ndarray  # likewise; empty where no edge reaches outwards
 
 
-NO_GAPS = np.empty(0, np.float32)
-"""Of a mesh without cut edges."""
+NO_GAPS = np.empty(0, np.float32)  # of a mesh without cut edges
 
 
 def empty_blocks(count: int, shared_points: int = 0, shared_blocks: int = 0) -> QuadBlocks:

@@ -24,32 +24,22 @@ from omnisyn_cli.render.box_kernels import FIRST_FREE_ROW, INVERSE_DEPTH, X, Y, 
 from omnisyn_cli.render.quad_blocks import DIAGONAL, HOLE_FLAG
 from omnisyn_cli.render.simd import LANES, broadcast, has_bits, load, store, to_float32, to_float64, where
 
-EDGE_ON_DETERMINANT = 1e-13
-"""Determinants below this are triangles seen edge-on: they cover nothing."""
-
-EDGE_OVERLAP_RADIANS = np.float32(5e-7)
-"""By which edges are moved outwards: float32 tests err by less than 4.2e-7."""
-
+EDGE_ON_DETERMINANT = 1e-13  # determinants below this are triangles seen edge-on: they cover nothing
+EDGE_OVERLAP_RADIANS = np.float32(5e-7)  # by which edges are moved outwards: float32 tests err by less than 4.2e-7
+# Largest ratio of a plane's slope to its inverse depth at which float32 keeps 1e-4 of the inverse depth.
 MAX_FLOAT32_SLOPE = 100.0
-"""Largest ratio of a plane's slope to its inverse depth at which float32 keeps 1e-4 of the inverse depth."""
-
+# 1/metre: beyond 10 km nobody tells depth from infinity, so errors there may be as large as at 10 km.
 NEAR_INFINITY_INVERSE_DEPTH = 1e-4
-"""1/metre: beyond 10 km nobody tells depth from infinity, so errors there may be as large as at 10 km."""
-
+# Offset that moves an edge of an invisible triangle so far inwards that no ray passes it.
 UNREACHABLE_OFFSET = np.float32(-1e30)
-"""Offset that moves an edge of an invisible triangle so far inwards that no ray passes it."""
 
+# Rows of a block with the setups of its quads: edges (x, y, z, offset), planes (x, y, z), precision of drawing.
+# ``OTHER`` is the bottom edge of A and the top edge of B. They are no ints, for each of which kernels compile anew.
 CUT, A_LEFT, A_OTHER, B_RIGHT, B_OTHER, A_PLANE, B_PLANE, PRECISION = (
     np.int64(FIRST_FREE_ROW + k) for k in (0, 4, 8, 12, 16, 20, 23, 26)
 )
-"""Rows of a block with the setups of its quads: edges (x, y, z, offset), planes (x, y, z), precision of drawing.
-``OTHER`` is the bottom edge of A and the top edge of B. They are no ints, for each of which kernels compile anew."""
-
-BLOCK_ROWS = int(PRECISION) + 1
-"""All rows of a block."""
-
-SKIPPED_QUAD, IN_FLOAT32, IN_FLOAT64 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-"""Values of :data:`PRECISION`."""
+BLOCK_ROWS = int(PRECISION) + 1  # all rows of a block
+SKIPPED_QUAD, IN_FLOAT32, IN_FLOAT64 = np.float32(0.0), np.float32(1.0), np.float32(2.0)  # values of :data:`PRECISION`
 
 
 def split_quad(p0, p1, p2, p3):

@@ -22,8 +22,7 @@ from omnisyn_cli.render.draw_kernels import draw_quads
 from omnisyn_cli.render.quad_blocks import BLOCK
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, set_up_quads
 
-NO_FACE = -1
-"""Face number of pixels that see no surface."""
+NO_FACE = -1  # face number of pixels that see no surface
 
 
 @kernel()

@@ -27,11 +27,10 @@ from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, li
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.rasterize import Fragments
 
+# Rows from a source pole within which the azimuth has no gradient, and the polar angle that of a straight line.
 POLE_CAP_ROWS = 0.5
-"""Rows from a source pole within which the azimuth has no gradient, and the polar angle that of a straight line."""
-
+# Faces whose determinant is less than this share of ``Σ e_i`` are seen edge-on: their inverse depth is a constant.
 MIN_RELATIVE_DETERMINANT = 1e-4
-"""Faces whose determinant is less than this share of ``Σ e_i`` are seen edge-on: their inverse depth is a constant."""
 
 
 @dataclass(frozen=True)

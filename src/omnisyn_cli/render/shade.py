@@ -49,8 +49,7 @@ def make_confidence_map(mesh: Mesh, texture: Texture) -> ConfidenceMap:
     return ConfidenceMap(values.astype(np.float32, copy=False), np.array([*layout, bordered.shape[1]], np.float32))
 
 
-FULL_CONFIDENCE = ConfidenceMap(np.empty(0, np.float32), np.zeros(5, np.float32))
-"""Of any surface: 1 everywhere."""
+FULL_CONFIDENCE = ConfidenceMap(np.empty(0, np.float32), np.zeros(5, np.float32))  # of any surface: 1 everywhere
 
 
 class Shader:

@@ -25,14 +25,9 @@ from numba.core.datamodel import models
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, register_model
 
-LANES = 8
-"""Numbers in a vector."""
-
-_HALF_LANES = LANES // 2
-"""Numbers in half a vector."""
-
-FIXED_POINT_UNIT, FIXED_TEXEL = 32767, 1 << 7
-"""Fixed point: the weight 1, and the factor of texels of 8 bits."""
+LANES = 8  # numbers in a vector
+_HALF_LANES = LANES // 2  # numbers in half a vector
+FIXED_POINT_UNIT, FIXED_TEXEL = 32767, 1 << 7  # fixed point: the weight 1, and the factor of texels of 8 bits
 
 
 class _Vector(types.Type):  # type: ignore[misc]

@@ -35,18 +35,15 @@ MAX_SHIFT_PIXELS = 0.125
 On a warehouse walked for 3 m an eighth costs 0.01 dB and a quarter, with 6 % fewer triangles, 0.08 dB.
 """
 
+# Rectangles have at most 2 to this power quads along a side, and at most an eighth of the image. Set by hand.
 MAX_SIDE_LOG2 = 6
-"""Rectangles have at most 2 to this power quads along a side, and at most an eighth of the image. Set by hand."""
 
+# Quads that begin in one square of 2 to this power quads a side are drawn one after the other, for the cache. Set by
+# hand.
 DRAW_ORDER_LOG2 = 5
-"""Quads that begin in one square of 2 to this power quads a side are drawn one after the other, for the cache. Set by
-hand."""
-
-GAP_MARGIN = 1.1
-"""Factor of gaps: between their vertices edges are arcs that bulge. Set by hand."""
-
+GAP_MARGIN = 1.1  # factor of gaps: between their vertices edges are arcs that bulge. Set by hand.
+# Flags of cut edges that halve a quad, and the points of both halves as indices into the 16 points of its quarters.
 STRAIGHT_CUTS = {10: ((0, 4, 2, 5), (9, 14, 8, 12)), 5: ((0, 1, 8, 10), (6, 4, 13, 12))}
-"""Flags of cut edges that halve a quad, and the points of both halves as indices into the 16 points of its quarters."""
 
 
 def simplify(
@@ -87,8 +84,7 @@ def flat_rectangles(
     return np.stack([row, col, height, width], -1), np.concatenate(pieces)
 
 
-CAP_ORDER = np.iinfo(np.int64).max
-"""Sort key of the caps, which are drawn last."""
+CAP_ORDER = np.iinfo(np.int64).max  # sort key of the caps, which are drawn last
 
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Of some quads: points ``(quads, 4 corners, 4)``, codes, gaps, and numbers to sort them by."""

@@ -13,14 +13,9 @@ import numpy as np
 from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.render.quad_blocks import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
 
-COVERED_CODE = 255
-"""Mark of quads in a rectangle that begins elsewhere, and of those that are not drawn."""
-
-CUT_APART = 254
-"""Mark of cut quads that are drawn as pieces."""
-
-HEIGHT_CODE = 16
-"""A rectangle of ``2^i × 2^j`` quads is marked ``HEIGHT_CODE·i + j`` at its first quad."""
+COVERED_CODE = 255  # mark of quads in a rectangle that begins elsewhere, and of those that are not drawn
+CUT_APART = 254  # mark of cut quads that are drawn as pieces
+HEIGHT_CODE = 16  # a rectangle of ``2^i × 2^j`` quads is marked ``HEIGHT_CODE·i + j`` at its first quad
 
 
 @kernel()

@@ -9,20 +9,13 @@ from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.simd import FIXED_POINT_UNIT
 
+# Pixels repeated around every level, across the seam and over the poles, so that kernels need not wrap indices.
 BORDER = 2
-"""Pixels repeated around every level, across the seam and over the poles, so that kernels need not wrap indices."""
-
-CHANNELS = 4
-"""RGB and alpha."""
-
-SMALLEST_LEVEL = 8
-"""Rows of the smallest mip level. Set by hand."""
-
-ROWS_AT_A_TIME = 64
-"""Rows that are averaged together, to bound memory. Set by hand."""
-
+CHANNELS = 4  # RGB and alpha
+SMALLEST_LEVEL = 8  # rows of the smallest mip level. Set by hand.
+ROWS_AT_A_TIME = 64  # rows that are averaged together, to bound memory. Set by hand.
+# Positions between two texels that bicubic weights are tabulated for: 8 bits need fewer. Set by hand.
 CUBIC_STEPS = {"uint8": 1024, "float32": 8192}
-"""Positions between two texels that bicubic weights are tabulated for: 8 bits need fewer. Set by hand."""
 
 
 @dataclass(frozen=True)

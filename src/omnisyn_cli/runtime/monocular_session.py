@@ -17,23 +17,16 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import sha256_of
 from omnisyn_cli.runtime.session import run_network
 
+# What the numbers of a network may be; points are their distance from the camera.
 READING_WORDS = ("depth", "inverse-depth", "log-depth", "points")
-"""What the numbers of a network may be; points are their distance from the camera."""
-
+# What users may say of a network that its file does not.
 KIND_WORDS = ("panorama", "perspective", *READING_WORDS, "imagenet")
-"""What users may say of a network that its file does not."""
-
+# Height and width of pictures where a network takes any: networks divide them by 14, 16 or 32.
 PANORAMA_SIZE, PERSPECTIVE_SIZE = (448, 896), (448, 448)
-"""Height and width of pictures where a network takes any: networks divide them by 14, 16 or 32."""
-
+# Of the channels of pictures, for networks that were not exported with it.
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of the channels of pictures, for networks that were not exported with it."""
-
-MIN_RELATIVE_SPREAD = 1e-4
-"""Of the numbers of an answer: a network with less says the same of every pixel."""
-
-MAX_KEPT_ANSWERS = 500
-"""Files in the folder of answers; the oldest go first. One has 0.5 to 1.6 MB."""
+MIN_RELATIVE_SPREAD = 1e-4  # of the numbers of an answer: a network with less says the same of every pixel
+MAX_KEPT_ANSWERS = 500  # files in the folder of answers; the oldest go first. One has 0.5 to 1.6 MB.
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ __all__ = [
     "sample_path",
 ]
 
+# Generators by the name of what they make.
 GENERATORS: Mapping[str, Callable[[int], Scene]] = {"street": street, "room": room, "home": home}
-"""Generators by the name of what they make."""
 
 
 def generate_scene(kind: str, seed: int, photos: Photos | None = None) -> Scene:

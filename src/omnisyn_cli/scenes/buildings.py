@@ -9,8 +9,8 @@ from omnisyn_cli.scenes.materials import Material, Pattern, random_material, ton
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
+# Of windows without a room behind them. Set by hand.
 DARK_GLASS = Material(Pattern.PLAIN, (0.12, 0.14, 0.16), grain=0.1, gloss=1.0)
-"""Of windows without a room behind them. Set by hand."""
 
 
 def _facade(rng: np.random.Generator, floor: float, shop: bool) -> Material:

@@ -15,21 +15,18 @@ from omnisyn_cli.scenes.walls import Cell, Openings, wall_axes
 
 FurnitureMaker = Callable[[LocalFrame], None]
 
+# What stands against the walls of a home.
 HOME_WALL_FURNITURE: tuple[FurnitureMaker, ...] = (
     furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp,
 )  # fmt: skip
-"""What stands against the walls of a home."""
-
+# What stands against the walls of an office.
 OFFICE_WALL_FURNITURE: tuple[FurnitureMaker, ...] = (
     furniture.cabinet, furniture.shelf, furniture.shelf, furniture.screen, furniture.plant, furniture.table,
 )  # fmt: skip
-"""What stands against the walls of an office."""
-
+# What stands before a window.
 WINDOW_FURNITURE: tuple[FurnitureMaker, ...] = (furniture.table, furniture.plant, furniture.armchair)
-"""What stands before a window."""
-
+# Yaw (radians) of furniture that faces away from a wall.
 INWARD_YAW = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
-"""Yaw (radians) of furniture that faces away from a wall."""
 
 OccupiedDisks = list[tuple[float, float, float]]
 """Occupied disks on the floor: x, z and radius, metres."""

@@ -80,12 +80,12 @@ def random_material(
 
 PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS)  # Patterns with holes, which rays pass
 
+# A material as kernels read it: colours are linear; for photographs see :class:`PhotoMapping`.
 PACKED_MATERIAL = np.dtype([
     ("pattern", "i8"), *((name, "f8", 3) for name in COLOURS), ("cell", "f8", 2), ("line", "f8"), ("grain", "f8"),
     ("grain_size", "f8"), ("detail", "f8"), ("gloss", "f8"), ("glow", "f8"), ("seed", "i8"), ("is_perforated", "?"),
     ("photo", "i8"), ("photo_mapping", "i8"), ("photo_width", "f8"), ("photo_seed", "i8"), ("has_patches", "?"),
 ])  # fmt: skip
-"""A material as kernels read it: colours are linear; for photographs see :class:`PhotoMapping`."""
 
 
 def pack_materials(materials: Sequence[Material]) -> np.ndarray:
@@ -102,8 +102,8 @@ def pack_materials(materials: Sequence[Material]) -> np.ndarray:
 
 MIP_LEVELS = 12  # Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated
 
+# Share of a scene's materials that become photographs: each scene draws its own in this range.
 PHOTO_SHARE_RANGE = (0.3, 0.9)
-"""Share of a scene's materials that become photographs: each scene draws its own in this range."""
 
 MIN_PICTURE_SHARE = 0.85  # Share of the pictures on walls that become photographs at least; chosen by eye
 GLASS_MIN_GLOSS = 0.8  # Gloss from which on a plain material is glass or a screen and keeps its colour
@@ -117,6 +117,7 @@ class PhotoMapping(IntEnum):
     FITTED = 2  # once, cropped to the face; the pattern's third colour stays (a frame)
 
 
+# By pattern: mappings, one of which is drawn, and the range of a photograph's width in metres, chosen by eye.
 PHOTO_PLACEMENTS: Mapping[Pattern, tuple[tuple[PhotoMapping, ...], float, float]] = {
     Pattern.PLAIN: ((PhotoMapping.TILED,), 0.4, 4.0),
     Pattern.BRICK: ((PhotoMapping.TILED,), 0.8, 5.0),
@@ -134,7 +135,6 @@ PHOTO_PLACEMENTS: Mapping[Pattern, tuple[tuple[PhotoMapping, ...], float, float]
     Pattern.PICTURE: ((PhotoMapping.FITTED,), 1.0, 1.0),
     Pattern.RUG: ((PhotoMapping.FITTED, PhotoMapping.TILED), 0.5, 2.0),
 }
-"""By pattern: mappings, one of which is drawn, and the range of a photograph's width in metres, chosen by eye."""
 
 GROUND_PATTERNS = (Pattern.ROAD, Pattern.GRASS)  # Patterns that lie on the ground whatever they belong to
 

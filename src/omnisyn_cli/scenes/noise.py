@@ -14,8 +14,8 @@ _PERIOD = 128  # lattice points before the noise repeats, a power of two
 _MASK = _PERIOD - 1
 
 
+# Random values, uniform in [0, 1), that all noise interpolates: a table costs less than hashing.
 LATTICE = np.random.default_rng(20220809).random((_PERIOD, _PERIOD), dtype=np.float32)
-"""Random values, uniform in [0, 1), that all noise interpolates: a table costs less than hashing."""
 
 
 @fast_subkernel

@@ -11,8 +11,8 @@ from omnisyn_cli.scenes.mesh.render import render
 from omnisyn_cli.scenes.scene import Scene, triangles
 from omnisyn_cli.scenes.shader import Surfaces, find_holes, find_surfaces, shade_rays
 
+# Points on the disc of the sun, in half angles: the samples of a pixel see them in turn.
 SUN_POINTS = ((-0.5, -0.5), (0.5, -0.2), (-0.2, 0.5), (0.4, 0.4))
-"""Points on the disc of the sun, in half angles: the samples of a pixel see them in turn."""
 
 
 class DrawnScene:

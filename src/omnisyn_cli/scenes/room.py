@@ -18,11 +18,11 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, LocalFrame, Scene, SceneBuilder, Walkway, daylight, sun_at, times
 from omnisyn_cli.scenes.walls import WALLS, Cell, Opening, Openings, add_room_shell, low_texture_finish
 
+# What stands around in the room that is looked at most.
 EXTRAS = (
     furniture.kitchen_unit, furniture.tripod, furniture.chair, furniture.armchair, furniture.plant,
     furniture.floor_lamp, furniture.table, furniture.shelf,
 )  # fmt: skip
-"""What stands around in the room that is looked at most."""
 
 BASELINE_RANGE = (0.25, 8.0)  # Shortest and longest distance between the first and the last camera, metres
 MAX_BASELINE_IN_DEPTHS = 3.0  # Longest baseline, in multiples of the depth of the nearest surface

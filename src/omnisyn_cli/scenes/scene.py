@@ -62,13 +62,13 @@ def _lathe(radii: np.ndarray, heights: np.ndarray, axes: list[int]) -> tuple[np.
 
 _LATITUDES = np.linspace(np.pi, 0.0, SEGMENTS // 2 + 1)
 
+# Vertices, faces and the axis of each face: the local axis that it faces, 1 up and down; 0 where it is curved.
 UNIT_SHAPES = {
     Shape.BOX: _box(),
     Shape.ELLIPSOID: _lathe(np.sin(_LATITUDES), np.cos(_LATITUDES), [0] * (SEGMENTS // 2)),
     Shape.CYLINDER: _lathe(np.array([0.0, 1.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0, 1.0]), [1, 0, 1]),
     Shape.CONE: _lathe(np.array([0.0, 1.0, 0.0]), np.array([-1.0, -1.0, 1.0]), [1, 0]),
 }
-"""Vertices, faces and the axis of each face: the local axis that it faces, 1 up and down; 0 where it is curved."""
 
 
 def triangles(

@@ -16,27 +16,18 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, MAX_COST, DisparityRange
 
-CENSUS_RADIUS = 3
-"""Rows and columns on every side of a census window: 7×7 pixels fit a signature of 64 bits."""
-
+CENSUS_RADIUS = 3  # rows and columns on every side of a census window: 7×7 pixels fit a signature of 64 bits
+# A neighbour counts as brighter if it is so by more than one grey level of 8 bits (1/255).
 CENSUS_NOISE = np.float32(0.004)
-"""A neighbour counts as brighter if it is so by more than one grey level of 8 bits (1/255)."""
-
+# Half of the 48 bits differ between unrelated windows, which is a cost of 1.
 COST_PER_CENSUS_BIT = np.float32(1.0 / 24.0)
-"""Half of the 48 bits differ between unrelated windows, which is a cost of 1."""
 
+# Cost where the second image shows nothing (outside or masked): worse than a match, better than a contradiction; chosen
+# by eye.
 OUT_OF_VIEW_COST = np.float32(0.6)
-"""Cost where the second image shows nothing (outside or masked): worse than a match, better than a contradiction;
-chosen by eye."""
-
-HALF_CENSUS_BITS = np.uint64(24)
-"""Signatures are made and compared in two halves."""
-
-MIN_TEXTURE_VARIANCE = 1e-4
-"""Variance of the luminance in a window, which is (2.5/255)²: less texture decides nothing."""
-
-INVALID_COST = np.float32(MAX_COST)
-"""Cost of a surface behind the camera."""
+HALF_CENSUS_BITS = np.uint64(24)  # signatures are made and compared in two halves
+MIN_TEXTURE_VARIANCE = 1e-4  # variance of the luminance in a window, which is (2.5/255)²: less texture decides nothing
+INVALID_COST = np.float32(MAX_COST)  # cost of a surface behind the camera
 
 
 class ColourCost(NamedTuple):

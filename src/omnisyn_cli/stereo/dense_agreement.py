@@ -13,11 +13,9 @@ from omnisyn_cli.stereo.disparity import MatchingOptions, left_right_check, matc
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import View
 
-ROWS = 128
-"""Of the pair that is matched: a twentieth of a second."""
-
+ROWS = 128  # of the pair that is matched: a twentieth of a second
+# Disparity from which on a match speaks for a direction: what is far matches whatever the direction.
 MIN_PARALLAX_ROWS = 1.5
-"""Disparity from which on a match speaks for a direction: what is far matches whatever the direction."""
 
 
 def dense_agreement(first: View, second: View, first_from_second: Pose) -> float:

@@ -17,17 +17,11 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 
-MIN_SQRT_INV_DEPTH = 0.3
-"""Smaller √(inverse depth × baseline) count as that large where shares of it are taken."""
-
-RAMP_SHARE = 0.1
-"""Beyond the tolerance the cost rises over this share of √(inverse depth × baseline) to its limit."""
-
-MAX_PRIOR_COST = 0.4
-"""Limit of the cost where the prior is confident: unrelated windows cost 1."""
-
+MIN_SQRT_INV_DEPTH = 0.3  # smaller √(inverse depth × baseline) count as that large where shares of it are taken
+RAMP_SHARE = 0.1  # beyond the tolerance the cost rises over this share of √(inverse depth × baseline) to its limit
+MAX_PRIOR_COST = 0.4  # limit of the cost where the prior is confident: unrelated windows cost 1
+# Up to the first confidence nothing costs anything, from the second on the limit is full.
 MIN_CONFIDENCE, FULL_COST_CONFIDENCE = 0.2, 0.4
-"""Up to the first confidence nothing costs anything, from the second on the limit is full."""
 
 
 class DepthPrior(NamedTuple):

@@ -1,10 +1,9 @@
 """The sizes at which depth is estimated; importing this loads nothing heavy."""
 
+# Rows of matching up to which the completion network works: it was trained at these and half of them.
 MAX_COMPLETION_ROWS = 512
-"""Rows of matching up to which the completion network works: it was trained at these and half of them."""
-
+# Rows of an estimate per row of the pictures: sub-pixel matching measures a little between pixels.
 MAX_ROWS_PER_IMAGE_ROW = 2
-"""Rows of an estimate per row of the pictures: sub-pixel matching measures a little between pixels."""
 
 
 def matching_rows(rows: int) -> int:

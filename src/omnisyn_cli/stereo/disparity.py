@@ -19,16 +19,15 @@ from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.rectify import RectifiedPair
 from omnisyn_cli.stereo.semi_global import DisparityRange, aggregate_costs, uniqueness_margin, winner_takes_all
 
+# Impossible disparities that are tried all the same: what has no match takes these, not the least wrong possible one.
+# (Without them the shadow of a lamp on an untextured road fell to pieces.)
 ROWS_BEYOND_EPIPOLE = 4
-"""Impossible disparities that are tried all the same: what has no match takes these, not the least wrong possible one.
-(Without them the shadow of a lamp on an untextured road fell to pieces.)"""
-
+# A winner this close to the least possible disparity may have wanted to go below it, so it is not valid.
 DISPARITY_BOUND_SLACK_ROWS = 1.5
-"""A winner this close to the least possible disparity may have wanted to go below it, so it is not valid."""
 
+# Sine of the angle below the horizon (10°) where the bound on the ground's distance begins: ground may slope away;
+# chosen by eye.
 GROUND_BOUND_MIN_SINE = 0.17
-"""Sine of the angle below the horizon (10°) where the bound on the ground's distance begins: ground may slope away;
-chosen by eye."""
 
 MAX_INTERPOLATED_STEP = 2.0
 """Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
@@ -36,9 +35,9 @@ MAX_INTERPOLATED_STEP = 2.0
 (With more, noise confirms itself: the shadow of a lamp on an untextured road fell to pieces.)
 """
 
+# Degrees from an epipole: within the first nothing is measurable; within the second near things hardly move either, so
+# no parallax does not mean infinity. Chosen by eye.
 EPIPOLE_BLIND_DEG, EPIPOLE_NO_INFINITY_DEG = 4.0, 20.0
-"""Degrees from an epipole: within the first nothing is measurable; within the second near things hardly move either,
-so no parallax does not mean infinity. Chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
 
+# In 1/baselines: nothing nearer than a twentieth of a baseline is a valid match; chosen by eye.
 MAX_INVERSE_DEPTH = 20.0
-"""In 1/baselines: nothing nearer than a twentieth of a baseline is a valid match; chosen by eye."""
 
 
 @dataclass(frozen=True)

@@ -29,36 +29,22 @@ from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
 from omnisyn_cli.types import View
 
-NETWORK_SIZE = (256, 512)
-"""Height and width of the panoramas that the network sees."""
+NETWORK_SIZE = (256, 512)  # height and width of the panoramas that the network sees
+BASELINES = 1.0, 2.25  # the lengths of the baseline that the network is told of, once each
+HALF_TURN_ABOUT_Y = np.diag([-1.0, 1.0, -1.0])  # the cameras exchange their places: what was behind is ahead
+TOLERANCE_SHARE = 0.15  # error of √(inverse depth × baseline) that costs nothing, as a share of it
 
-BASELINES = 1.0, 2.25
-"""The lengths of the baseline that the network is told of, once each."""
-
-HALF_TURN_ABOUT_Y = np.diag([-1.0, 1.0, -1.0])
-"""The cameras exchange their places: what was behind is ahead."""
-
-TOLERANCE_SHARE = 0.15
-"""Error of √(inverse depth × baseline) that costs nothing, as a share of it."""
-
+# Relative error of √(inverse depth) where depth is 10 % off. With its probability, the confidence, the scale of a
+# Laplace distribution follows.
 TEN_PERCENT = math.sqrt(1.1) - 1.0
-"""Relative error of √(inverse depth) where depth is 10 % off. With its probability, the confidence, the scale of a
-Laplace distribution follows."""
-
+# Matches that differ by more in the logarithm of inverse depth correct nothing: they may be wrong.
 MAX_LOG_CORRECTION = 0.6
-"""Matches that differ by more in the logarithm of inverse depth correct nothing: they may be wrong."""
-
+# Standard deviations as shares of the height: from the factor of half the sphere to that of the matches nearby.
 CORRECTION_SCALES = (1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
-"""Standard deviations as shares of the height: from the factor of half the sphere to that of the matches nearby."""
-
-COARSER_WEIGHT = 0.02
-"""Weight of the coarser correction, against 1 for matches everywhere around."""
-
+COARSER_WEIGHT = 0.02  # weight of the coarser correction, against 1 for matches everywhere around
+# Of the logarithm of inverse depth: a proposal that near to what is expected is preferred to it.
 MAX_LOG_DIFFERENCE = 0.15
-"""Of the logarithm of inverse depth: a proposal that near to what is expected is preferred to it."""
-
-MIN_INVERSE_DEPTH = 1e-4
-"""In 1/baselines: all that is farther counts as that far."""
+MIN_INVERSE_DEPTH = 1e-4  # in 1/baselines: all that is farther counts as that far
 
 
 class PriorModel(Protocol):

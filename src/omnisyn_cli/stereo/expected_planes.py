@@ -13,24 +13,17 @@ from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import Directions, fit_plane
 from omnisyn_cli.stereo.rectify import RectifiedPair
 
-EXPECTED_SIZE = (64, 128)
-"""Rows and columns of the expected depth that planes are fitted to."""
-
-MIN_CONFIDENCE, MIN_INVERSE_DEPTH = 0.4, 0.02
-"""Of the pixels that take part; the second in 1/baselines."""
-
-RELATIVE_TOLERANCE = 0.05
-"""Of inverse depth, for pixels of a plane."""
-
+EXPECTED_SIZE = (64, 128)  # rows and columns of the expected depth that planes are fitted to
+MIN_CONFIDENCE, MIN_INVERSE_DEPTH = 0.4, 0.02  # of the pixels that take part; the second in 1/baselines
+RELATIVE_TOLERANCE = 0.05  # of inverse depth, for pixels of a plane
+# The number of planes, and the share of the pixels' solid angle that each has to explain.
 MAX_PLANES, MIN_SUPPORT = 16, 0.004
-"""The number of planes, and the share of the pixels' solid angle that each has to explain."""
-
+# A fitted plane that turns by more than 14° or moves by more than a quarter has gone to another surface.
 MIN_PARALLEL_COSINE, MAX_DISTANCE_FACTOR = 0.97, 1.25
-"""A fitted plane that turns by more than 14° or moves by more than a quarter has gone to another surface."""
 
+# An expected floor or ceiling nearer to a swept one is that one, less exactly. On 31 wide walks 1.1 % more of what is
+# below the horizon is within 5 % without such copies. Walls may stand that near each other: homes lose without them.
 MAX_FLOOR_DISTANCE_FACTOR = 1.4
-"""An expected floor or ceiling nearer to a swept one is that one, less exactly. On 31 wide walks 1.1 % more of what is
-below the horizon is within 5 % without such copies. Walls may stand that near each other: homes lose without them."""
 
 
 def expected_planes(

@@ -20,39 +20,25 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 
+# Radians over which planes are fitted, widest first; each result is the fallback of the next. Chosen by eye.
 PLANE_FIT_RADII_RAD = (0.8, 0.2, 0.05)
-"""Radians over which planes are fitted, widest first; each result is the fallback of the next. Chosen by eye."""
-
+# Radians around a pixel that the first guess is taken from, across edges too; chosen by eye.
 FIRST_GUESS_RADIUS_RAD = 0.1
-"""Radians around a pixel that the first guess is taken from, across edges too; chosen by eye."""
-
+# Quantile of valid inverse depths that fills where none are near: gaps show the background more often than not.
 BACKGROUND_QUANTILE = 0.2
-"""Quantile of valid inverse depths that fills where none are near: gaps show the background more often than not."""
-
-FILTER_ITERATIONS = 3
-"""Horizontal and vertical passes of the filter per radius, as in the source."""
-
-COLOUR_EDGE_STRENGTH = 6.0
-"""Distance that a colour difference of 1 adds, in fit radii; chosen by eye."""
-
+FILTER_ITERATIONS = 3  # horizontal and vertical passes of the filter per radius, as in the source
+COLOUR_EDGE_STRENGTH = 6.0  # distance that a colour difference of 1 adds, in fit radii; chosen by eye
+# Weight of the fallback at the pixel itself, against 1 for a valid depth: it decides only where nothing is near.
 FALLBACK_WEIGHT = 1e-3
-"""Weight of the fallback at the pixel itself, against 1 for a valid depth: it decides only where nothing is near."""
-
+# Ridge against tilts that the data do not ask for, relative to what data spread over the radius would weigh.
 TILT_RIDGE = 0.1
-"""Ridge against tilts that the data do not ask for, relative to what data spread over the radius would weigh."""
-
+# Scale of the robust weights: 10 % of the estimate and 2 % of the greatest inverse depth; chosen by eye.
 ROBUST_SCALE_ESTIMATE_SHARE, ROBUST_SCALE_MAXIMUM_SHARE = 0.1, 0.02
-"""Scale of the robust weights: 10 % of the estimate and 2 % of the greatest inverse depth; chosen by eye."""
-
+# Of the bilateral filter that removes mere texture before edges are taken: pixels, colour, pixels. Chosen by eye.
 BILATERAL_WINDOW, BILATERAL_COLOUR_SIGMA, BILATERAL_SPACE_SIGMA = 7, 0.15, 3.0
-"""Of the bilateral filter that removes mere texture before edges are taken: pixels, colour, pixels. Chosen by eye."""
-
+# Rows that are filtered together, side by side in memory. (Measured: two thirds of the time.)
 FILTER_ROWS_PER_GROUP = 16
-"""Rows that are filtered together, side by side in memory. (Measured: two thirds of the time.)"""
-
-
-NORMAL_EQUATION_TERMS = 9
-"""Numbers per pixel: the upper triangle of the matrix, row after row, and the right side."""
+NORMAL_EQUATION_TERMS = 9  # numbers per pixel: the upper triangle of the matrix, row after row, and the right side
 
 
 def fill_with_planes(

@@ -14,33 +14,20 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
+# Inverse depths as the whole numbers of 16 bits that OpenCV's speckle filter takes: sixteen per relative step.
 SPECKLE_LEVELS_PER_STEP, SPECKLE_LEVEL_OF_ONE, SPECKLE_MAX_LEVEL, SPECKLE_INVALID_LEVEL = 16, 16000, 32000, -1000
-"""Inverse depths as the whole numbers of 16 bits that OpenCV's speckle filter takes: sixteen per relative step."""
-
+# Columns from over the seam that the speckle filter sees: an island of so few pixels is hardly wider.
 SPECKLE_SEAM_COLUMNS = 64
-"""Columns from over the seam that the speckle filter sees: an island of so few pixels is hardly wider."""
-
-MEDIAN_WINDOW = 5
-"""Side in pixels of the squares that medians are taken of: the largest that OpenCV knows for floats."""
-
-UPSAMPLE_RADIUS = 3
-"""Low pixels of the border; windows are 2 · 3 − 1 = 5 low pixels wide."""
-
+MEDIAN_WINDOW = 5  # side in pixels of the squares that medians are taken of: the largest that OpenCV knows for floats
+UPSAMPLE_RADIUS = 3  # low pixels of the border; windows are 2 · 3 − 1 = 5 low pixels wide
+# 1 / (2 σ²) of the spatial weights in :func:`joint_upsample`: σ is one and a half low pixels.
 UPSAMPLE_SPATIAL_DECAY = np.float32(1.0 / 4.5)
-"""1 / (2 σ²) of the spatial weights in :func:`joint_upsample`: σ is one and a half low pixels."""
-
+# Decay of the weights per colour difference, summed over the channels; chosen by eye.
 UPSAMPLE_COLOUR_DECAY = np.float32(12.0)
-"""Decay of the weights per colour difference, summed over the channels; chosen by eye."""
-
+# Ratio of the greatest to the least inverse depth in a window up to which it shows one smooth surface.
 SMOOTH_WINDOW_RATIO = np.float32(1.0 + SAME_SURFACE_TOLERANCE)
-"""Ratio of the greatest to the least inverse depth in a window up to which it shows one smooth surface."""
-
-BISECTION_STEPS = 12
-"""Of the weighted median: its error is 1/4096 of the range in the window."""
-
-
-MIN_ISLAND_PIXELS = 20
-"""At half size: smaller islands of depth are mistakes more often than things."""
+BISECTION_STEPS = 12  # of the weighted median: its error is 1/4096 of the range in the window
+MIN_ISLAND_PIXELS = 20  # at half size: smaller islands of depth are mistakes more often than things
 
 
 def remove_speckles(

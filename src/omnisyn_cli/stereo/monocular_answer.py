@@ -15,11 +15,8 @@ from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import rotated_image, sample_bilinear
 from omnisyn_cli.types import View
 
-PICTURE_FOV = math.radians(90.0)
-"""Angle that perspective pictures see, the smaller one of width and height."""
-
-ELEVATIONS = ((0.0, 6), (50.0, 4), (-50.0, 4))
-"""Degrees above the horizon, and how many pictures look there all around."""
+PICTURE_FOV = math.radians(90.0)  # angle that perspective pictures see, the smaller one of width and height
+ELEVATIONS = ((0.0, 6), (50.0, 4), (-50.0, 4))  # degrees above the horizon, and how many pictures look there all around
 
 
 class Reading(NamedTuple):
@@ -36,10 +33,10 @@ class Reading(NamedTuple):
         return np.asarray(-np.log(np.maximum(number, 1e-6)) / self.power if self.power else -number)
 
 
+# By the name that users give them.
 READINGS: Mapping[str, Reading] = MappingProxyType(
     {"depth": Reading(1), "inverse-depth": Reading(-1), "log-depth": Reading(0)}
 )
-"""By the name that users give them."""
 
 
 class Samples(NamedTuple):

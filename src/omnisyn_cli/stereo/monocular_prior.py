@@ -29,38 +29,19 @@ from omnisyn_cli.stereo.monocular_answer import READINGS, MonocularAnswer, Readi
 from omnisyn_cli.stereo.rectify import RectifiedPair
 from omnisyn_cli.types import View
 
-ALIGNMENT_SIZE = (64, 128)
-"""Rows and columns of the directions in which scale and shift are looked for."""
-
-MIN_MATCHES = 100
-"""In fewer of these directions matches say nothing about scale and shift."""
-
-MIN_INVERSE_DEPTH = 0.02
-"""In 1/baselines: farther matches say nothing exact."""
-
+ALIGNMENT_SIZE = (64, 128)  # rows and columns of the directions in which scale and shift are looked for
+MIN_MATCHES = 100  # in fewer of these directions matches say nothing about scale and shift
+MIN_INVERSE_DEPTH = 0.02  # in 1/baselines: farther matches say nothing exact
+# Pairs of matches that scale and shift are taken from, to begin with; likewise single ones for a scale alone.
 HYPOTHESES = 500
-"""Pairs of matches that scale and shift are taken from, to begin with; likewise single ones for a scale alone."""
-
-MAX_LOG_ERROR = 0.25
-"""Of the logarithm of inverse depth: matches that differ by more do not confirm an alignment."""
-
-MIN_CONFIRMING_SHARE = 0.5
-"""Share of the matches that confirm the alignment of a prior that is used."""
-
-OVERLAP_WEIGHT = 0.3
-"""Of two pictures that should agree in a direction, against 1 for a match there."""
-
+MAX_LOG_ERROR = 0.25  # of the logarithm of inverse depth: matches that differ by more do not confirm an alignment
+MIN_CONFIRMING_SHARE = 0.5  # share of the matches that confirm the alignment of a prior that is used
+OVERLAP_WEIGHT = 0.3  # of two pictures that should agree in a direction, against 1 for a match there
+# Of the median of all numbers: errors are not relative to smaller ones, such as the inverse depth of the sky.
 MIN_UNIT_SHARE = 0.3
-"""Of the median of all numbers: errors are not relative to smaller ones, such as the inverse depth of the sky."""
-
-SOLVER_STEPS = 8
-"""Of least squares, each with the weights that make it the least sum of absolute errors."""
-
-MIN_LOG_ERROR = 0.02
-"""Smaller errors count alike."""
-
-CORRECTED_ERRORS = 3.0
-"""Matches within so many median errors correct the answer around them."""
+SOLVER_STEPS = 8  # of least squares, each with the weights that make it the least sum of absolute errors
+MIN_LOG_ERROR = 0.02  # smaller errors count alike
+CORRECTED_ERRORS = 3.0  # matches within so many median errors correct the answer around them
 
 
 class Alignment(NamedTuple):

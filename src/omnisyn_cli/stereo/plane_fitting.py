@@ -16,41 +16,24 @@ from omnisyn_cli.compute.jit import fast_kernel, kernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z
 
+# Side lengths in pixels of the square windows that propose one plane each; chosen by eye.
 PROPOSAL_WINDOW_SIDES = (12, 32, 64)
-"""Side lengths in pixels of the square windows that propose one plane each; chosen by eye."""
-
-MIN_WINDOW_POINTS = 12
-"""A window with no more points proposes nothing."""
-
+MIN_WINDOW_POINTS = 12  # a window with no more points proposes nothing
+# Random samples: one point defines a level plane, two define an upright one.
 HORIZONTAL_PLANE_PROPOSALS, VERTICAL_PLANE_PROPOSALS = 400, 800
-"""Random samples: one point defines a level plane, two define an upright one."""
-
+# Sine of the elevation (9°) a point needs to propose a level plane: nearer the horizon its height is uncertain.
 LEVEL_MIN_ELEVATION_SINE = 0.15
-"""Sine of the elevation (9°) a point needs to propose a level plane: nearer the horizon its height is uncertain."""
-
+# Two points on (nearly) one vertical plane through the camera do not define an upright plane.
 MIN_PAIR_DETERMINANT = 0.05
-"""Two points on (nearly) one vertical plane through the camera do not define an upright plane."""
-
+# Points that proposals are scored on, drawn at random; all of them would take long for nearly the same ranking.
 MAX_SCORED_POINTS = 6000
-"""Points that proposals are scored on, drawn at random; all of them would take long for nearly the same ranking."""
-
-MIN_PLANE_POINTS = 100
-"""With fewer points there is no plane."""
-
-EXPLAINED_TOLERANCE_FACTOR = 1.5
-"""In tolerances: points this close to a chosen plane propose and support no other one."""
-
-OUTLIER_TOLERANCE_FACTOR = 2.0
-"""In tolerances: points farther away have no weight when a chosen plane is refitted."""
-
-ROBUST_ITERATIONS = 3
-"""Of reweighted least squares."""
-
-SECOND_CAMERA = np.array([0.0, 1.0, 0.0])
-"""In the frame of the first one, in baselines."""
-
+MIN_PLANE_POINTS = 100  # with fewer points there is no plane
+EXPLAINED_TOLERANCE_FACTOR = 1.5  # in tolerances: points this close to a chosen plane propose and support no other one
+OUTLIER_TOLERANCE_FACTOR = 2.0  # in tolerances: points farther away have no weight when a chosen plane is refitted
+ROBUST_ITERATIONS = 3  # of reweighted least squares
+SECOND_CAMERA = np.array([0.0, 1.0, 0.0])  # in the frame of the first one, in baselines
+# In 1/baselines and in baselines: farther planes are infinity, and nearer ones pass through the second camera.
 MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
-"""In 1/baselines and in baselines: farther planes are infinity, and nearer ones pass through the second camera."""
 
 
 class PlanePoints(NamedTuple):

@@ -39,58 +39,36 @@ from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
 T = TypeVar("T")
 
+# Half of the rows of a pair are swept, but no fewer than these. All rows find the same planes in four times the time.
 MIN_SWEEP_ROWS = 64
-"""Half of the rows of a pair are swept, but no fewer than these. All rows find the same planes in four times the
-time."""
-
+# Of swept planes from the first camera, in baselines. Farther ones are matched well enough by upright windows.
 NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES = 0.08, 4.0
-"""Of swept planes from the first camera, in baselines. Farther ones are matched well enough by upright windows."""
-
-SWEEP_STEPS = 64
-"""Planes between these distances: each is 6 % farther than the one before."""
-
+SWEEP_STEPS = 64  # planes between these distances: each is 6 % farther than the one before
+# Sine of the angle (8°) between a ray and a plane: rays that graze it more closely are not compared.
 MIN_INCIDENCE_SINE = 0.14
-"""Sine of the angle (8°) between a ray and a plane: rays that graze it more closely are not compared."""
-
-GOOD_COST = 0.28
-"""A pixel speaks for a plane by what its cost is below this. Unrelated windows have a cost of about 1."""
-
-EXPLAINED_COST = 0.2
-"""A pixel with a lower cost is explained by the plane and speaks for no other one."""
-
+GOOD_COST = 0.28  # a pixel speaks for a plane by what its cost is below this. Unrelated windows have a cost of about 1.
+EXPLAINED_COST = 0.2  # a pixel with a lower cost is explained by the plane and speaks for no other one
+# As ``colour_weight`` and ``colour_truncation`` of matching; less of the first, because exposures may differ.
 SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION = 0.3, 0.1
-"""As ``colour_weight`` and ``colour_truncation`` of matching; less of the first, because exposures may differ."""
-
+# Ratio of the mean brightness of two panoramas from which on exposures differ, not only what the cameras see.
 MIN_EXPOSURE_GAIN = 1.25
-"""Ratio of the mean brightness of two panoramas from which on exposures differ, not only what the cameras see."""
-
-MAX_SWEPT_PLANES = 6
-"""Per pair; the next ones explained less than a hundredth of the sphere on generated scenes."""
-
+MAX_SWEPT_PLANES = 6  # per pair; the next ones explained less than a hundredth of the sphere on generated scenes
+# Steps of the sweep to either side of a plane that propose no other one: its own flank, 26 % nearer or farther.
 PEAK_HALF_WIDTH = 4
-"""Steps of the sweep to either side of a plane that propose no other one: its own flank, 26 % nearer or farther."""
-
+# The same for planes that have been fitted: nearer to one before it, a plane has moved onto that one.
 FLANK_DISTANCE_FACTOR = 1.26
-"""The same for planes that have been fitted: nearer to one before it, a plane has moved onto that one."""
-
-MIN_PEAK_RATIO = 2.0
-"""Least score of a plane over the median of all distances of its direction, in both panoramas."""
-
+MIN_PEAK_RATIO = 2.0  # least score of a plane over the median of all distances of its direction, in both panoramas
+# Least score of a plane above that median, as a share of the textured sphere that it explains perfectly.
 MIN_PEAK_EXCESS = 0.002
-"""Least score of a plane above that median, as a share of the textured sphere that it explains perfectly."""
-
+# Of a plane to its pixels in the swept images, where a row is 1.4°, and then in the pair.
 COARSE_FIT_COUNT, FINE_FIT_COUNT = 4, 1
-"""Of a plane to its pixels in the swept images, where a row is 1.4°, and then in the pair."""
 
+# Sloping ground is fitted to the level planes that fit best in windows of 9×9 pixels. Their mean score has to be 0.04
+# (level windows hardly match on a slope), and a twentieth of them has to agree.
 SLOPE_WINDOW, MIN_SLOPE_SCORE, MIN_SLOPE_SUPPORT = 9, 0.04, 0.05
-"""Sloping ground is fitted to the level planes that fit best in windows of 9×9 pixels. Their mean score has to be 0.04
-(level windows hardly match on a slope), and a twentieth of them has to agree."""
-
+# Cosine of the greatest angle (20°) between a plane and the axis that it was found along: ground slopes less.
 MIN_SLOPE_COSINE = 0.94
-"""Cosine of the greatest angle (20°) between a plane and the axis that it was found along: ground slopes less."""
-
-COST_WINDOW = 5
-"""Side in pixels of the window in which costs are averaged before the best row is taken."""
+COST_WINDOW = 5  # side in pixels of the window in which costs are averaged before the best row is taken
 
 
 @dataclass(frozen=True)

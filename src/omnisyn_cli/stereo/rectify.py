@@ -22,8 +22,8 @@ from omnisyn_cli.stereo.depth_prior import DepthPrior, DisparityPrior
 from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.types import View
 
+# Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z.
 HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
-"""Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
 
 
 @dataclass(frozen=True)

@@ -40,21 +40,14 @@ from omnisyn_cli.stereo.stereo_features import (
 )
 from omnisyn_cli.types import DepthEstimate, View
 
-EDGE_SEARCH_RADIUS = 12
-"""Pixels: edges of the smaller map are no farther from the true edges than this; chosen by eye."""
+EDGE_SEARCH_RADIUS = 12  # pixels: edges of the smaller map are no farther from the true edges than this; chosen by eye
 
+# Of the largest inverse depth that the network can say. Nearer surfaces keep what matching filled in: floors and
+# ceilings of wide pairs are nearer than a quarter of the baseline.
 NETWORK_RANGE_SHARE = 0.95
-"""Of the largest inverse depth that the network can say. Nearer surfaces keep what matching filled in: floors and
-ceilings of wide pairs are nearer than a quarter of the baseline."""
-
-RANGE_SLACK_ROWS = 4
-"""Rows by which a disparity may lie beyond those of its neighbourhood; chosen by eye."""
-
-MAX_RANGE_ROWS = 128
-"""Rows of the longest range, around the disparity of its pixel: it bounds time and memory."""
-
-REMEASURED_CONFIDENCE = np.float32(0.8)
-"""Least confidence of what refinement has measured; chosen by eye."""
+RANGE_SLACK_ROWS = 4  # rows by which a disparity may lie beyond those of its neighbourhood; chosen by eye
+MAX_RANGE_ROWS = 128  # rows of the longest range, around the disparity of its pixel: it bounds time and memory
+REMEASURED_CONFIDENCE = np.float32(0.8)  # least confidence of what refinement has measured; chosen by eye
 
 ViewPair = tuple[View, View]
 EstimatePair = tuple[DepthEstimate, DepthEstimate]

@@ -24,33 +24,24 @@ from omnisyn_cli.compute.arrays import empty, zeros
 from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.compute.threads import run_ranges
 
+# Columns that a horizontal path walks before it counts, so that the seam is no border; chosen by eye.
 SEAM_WARM_UP_COLUMNS = 64
-"""Columns that a horizontal path walks before it counts, so that the seam is no border; chosen by eye."""
-
+# Fixed-point steps per unit of cost. The sum of eight paths of the largest cost and penalty still fits 16 bits.
 FIXED_POINT_SCALE = 1024
-"""Fixed-point steps per unit of cost. The sum of eight paths of the largest cost and penalty still fits 16 bits."""
-
+# The largest cost and the largest penalty: 8 · (4 + 3) · 1024 = 57,344 is below :data:`UNREACHABLE_COST`.
 MAX_COST, MAX_P2 = 4.0, 3.0
-"""The largest cost and the largest penalty: 8 · (4 + 3) · 1024 = 57,344 is below :data:`UNREACHABLE_COST`."""
-
+# Path cost outside of a range: above every real path, and adding P2 does not overflow 16 bits.
 UNREACHABLE_COST = np.uint16(60000)
-"""Path cost outside of a range: above every real path, and adding P2 does not overflow 16 bits."""
+IMPOSSIBLE_COST = np.uint16(65535)  # the greatest number of 16 bits: what must never be selected
+RIVAL_MIN_ROWS = 3  # disparities at most this many rows away are the same match, not rivals of it; chosen by eye
 
-IMPOSSIBLE_COST = np.uint16(65535)
-"""The greatest number of 16 bits: what must never be selected."""
-
-RIVAL_MIN_ROWS = 3
-"""Disparities at most this many rows away are the same match, not rivals of it; chosen by eye."""
-
+# Paths that walk together: what they read of a row lies side by side in memory. (Measured: 2.4 to 3.5 times as fast,
+# together with vectorised loops.)
 PATHS_PER_GROUP = 32
-"""Paths that walk together: what they read of a row lies side by side in memory. (Measured: 2.4 to 3.5 times as fast,
-together with vectorised loops.)"""
-
+# Entries of :data:`UNREACHABLE_COST` before and after a path's costs, so that neighbours need no bounds check.
 PATH_PADDING = np.uint64(2)
-"""Entries of :data:`UNREACHABLE_COST` before and after a path's costs, so that neighbours need no bounds check."""
-
+# Typed, because an index without a sign is not tested for counting from the end, so its loop vectorises.
 INDEX_ONE, INDEX_TWO = np.uint64(1), np.uint64(2)
-"""Typed, because an index without a sign is not tested for counting from the end, so its loop vectorises."""
 
 
 @dataclass(frozen=True)

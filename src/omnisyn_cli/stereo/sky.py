@@ -5,20 +5,11 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.regions import connected_regions
 
-MAX_SKY_INVERSE_DEPTH = 0.02
-"""In 1/baselines: a matching resolution of a few hundred rows cannot tell this from 0."""
-
-MIN_SKY_TEXTURE_SHARE = 0.05
-"""Share of the sky where texture must have shown that there is no parallax; chosen by eye."""
-
-MIN_SKY_SHARE = 0.01
-"""Share of the sphere: a smaller region is no sky; chosen by eye."""
-
-MAX_SKY_GAP_SHARE = 0.003
-"""Share of the sphere: smaller gaps in the sky are closed; chosen by eye."""
-
-ZENITH_SINE = 0.9
-"""Sine of the elevation (64°) above which a region reaches the zenith."""
+MAX_SKY_INVERSE_DEPTH = 0.02  # in 1/baselines: a matching resolution of a few hundred rows cannot tell this from 0
+MIN_SKY_TEXTURE_SHARE = 0.05  # share of the sky where texture must have shown that there is no parallax; chosen by eye
+MIN_SKY_SHARE = 0.01  # share of the sphere: a smaller region is no sky; chosen by eye
+MAX_SKY_GAP_SHARE = 0.003  # share of the sphere: smaller gaps in the sky are closed; chosen by eye
+ZENITH_SINE = 0.9  # sine of the elevation (64°) above which a region reaches the zenith
 
 
 def find_sky(

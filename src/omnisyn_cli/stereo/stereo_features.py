@@ -21,8 +21,7 @@ InvDepthWithConfidence = tuple[Float32[np.ndarray, "height width"], Float32[np.n
 """Inverse depth in 1/baselines, and confidence in [0, 1]."""
 
 
-COMPLETION_CHANNEL_COUNT = 19
-"""Channels of :func:`completion_channels`."""
+COMPLETION_CHANNEL_COUNT = 19  # channels of :func:`completion_channels`
 
 
 class CompletionModel(Protocol):

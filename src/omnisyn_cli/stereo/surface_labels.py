@@ -24,36 +24,23 @@ from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST, plane_disparity
 from omnisyn_cli.stereo.rectify import RectifiedPair
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
-NOT_VISIBLE_DISPARITY = np.float32(-1.0)
-"""Disparity of a surface that a pixel cannot show."""
-
+NOT_VISIBLE_DISPARITY = np.float32(-1.0)  # disparity of a surface that a pixel cannot show
+# The support of a plane is spread by a Gaussian of 1/24 of the height (7.5°); chosen by eye.
 PLANE_SUPPORT_SIGMAS_PER_HEIGHT = 24.0
-"""The support of a plane is spread by a Gaussian of 1/24 of the height (7.5°); chosen by eye."""
-
+# Share of supporting points around a pixel from which support counts fully; chosen by eye.
 FULL_PLANE_SUPPORT_DENSITY = 0.05
-"""Share of supporting points around a pixel from which support counts fully; chosen by eye."""
+DENSITY_ROWS = 64  # rows of the masks that are blurred: 2.8° each, where the blur spreads over 7.5°
 
-DENSITY_ROWS = 64
-"""Rows of the masks that are blurred: 2.8° each, where the blur spreads over 7.5°."""
-
+# Share of the texture around a pixel from which on a plane that explains it is fully supported. Windows that do not
+# belong together hardly ever agree by chance.
 FULL_EXPLAINED_SHARE = 0.1
-"""Share of the texture around a pixel from which on a plane that explains it is fully supported. Windows that do not
-belong together hardly ever agree by chance."""
-
-MIN_SKY_EPIPOLE_SINE = 0.35
-"""Sine of the angle to an epipole (20°) from which on static texture means that it is far."""
-
+MIN_SKY_EPIPOLE_SINE = 0.35  # sine of the angle to an epipole (20°) from which on static texture means that it is far
+# Share of the upper half that must be static texture for the sky to be open; chosen by eye.
 MIN_STATIC_TEXTURE_SHARE = 0.02
-"""Share of the upper half that must be static texture for the sky to be open; chosen by eye."""
-
-LEVEL_PLANE_COSINE = 0.97
-"""Cosine of the tilt (14°) up to which a plane counts as floor or ceiling; chosen by eye."""
-
-MIN_LEVEL_INVERSE_DISTANCE = 0.03
-"""In 1/baselines: floors and ceilings farther away bound nothing; chosen by eye."""
-
+LEVEL_PLANE_COSINE = 0.97  # cosine of the tilt (14°) up to which a plane counts as floor or ceiling; chosen by eye
+MIN_LEVEL_INVERSE_DISTANCE = 0.03  # in 1/baselines: floors and ceilings farther away bound nothing; chosen by eye
+# A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row.
 LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
-"""A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row."""
 
 
 class CandidatePlanes(NamedTuple):

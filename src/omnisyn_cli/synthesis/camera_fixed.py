@@ -34,68 +34,39 @@ from omnisyn_cli.synthesis.nadir_map import (
 from omnisyn_cli.synthesis.painted_areas import find_painted
 from omnisyn_cli.types import View
 
-CAP_RADII_DEG = (4.0, 45.0)
-"""Least and largest radius of a cap. Set by hand, as are all constants of this file."""
-
-MAX_CAP_AREA_RATIO = 1.7
-"""The caps of both panoramas have about the same area."""
-
-MAX_PAINT_RATIO = 1.1
-"""A painted area larger than the cap that is found in it, by this ratio, is no cap."""
-
-PATCH_TOLERANCE = 0.036
-"""Difference of colour inside a uniform patch: JPEG noise."""
-
+CAP_RADII_DEG = (4.0, 45.0)  # least and largest radius of a cap. Set by hand, as are all constants of this file.
+MAX_CAP_AREA_RATIO = 1.7  # the caps of both panoramas have about the same area
+MAX_PAINT_RATIO = 1.1  # a painted area larger than the cap that is found in it, by this ratio, is no cap
+PATCH_TOLERANCE = 0.036  # difference of colour inside a uniform patch: JPEG noise.
+# Share of its convex hull that a uniform patch has to fill, and how far from the nadir it lies, in half sides.
 MIN_SOLIDITY, MAX_OFFSET = 0.85, 0.34
-"""Share of its convex hull that a uniform patch has to fill, and how far from the nadir it lies, in half sides."""
-
+# Step of colour at the edge of a cap, share of the circumference that has it, and its ratio to steps elsewhere.
 MIN_EDGE_STEP, MIN_EDGE_SHARE, MIN_EDGE_LEAD = 0.04, 0.75, 3.0
-"""Step of colour at the edge of a cap, share of the circumference that has it, and its ratio to steps elsewhere."""
-
+# Mean difference from a smoothed picture beside a blurred disc, and the share of it inside.
 MIN_DETAIL, MAX_BLURRED_DETAIL = 0.006, 0.45
-"""Mean difference from a smoothed picture beside a blurred disc, and the share of it inside."""
-
+# Sectors of a circle around the nadir in which edges are looked for, and samples across each.
 SECTORS, SUBSECTORS = 72, 4
-"""Sectors of a circle around the nadir in which edges are looked for, and samples across each."""
-
+# Share of the map that has to show the ground at its best height, and its ratio to the median of all heights.
 MIN_GROUND_SHARE, MIN_GROUND_LEAD = 0.004, 2.0
-"""Share of the map that has to show the ground at its best height, and its ratio to the median of all heights."""
-
+# Horizontal distance of the cameras, in heights above the ground, from which on the ground moves enough.
 MIN_BASELINE = 0.25
-"""Horizontal distance of the cameras, in heights above the ground, from which on the ground moves enough."""
-
-MIN_GROUND_MOTION_DEG = 6.0
-"""Angle by which the ground must move at a place."""
-
-SEARCH_PIXELS = 3
-"""Pixels of the map that something may move beside the camera: an operator is never quite still."""
-
-MIN_GROUND_CONTRAST, MIN_OBJECT_CONTRAST = 0.02, 0.03
-"""Standard deviation of colours in windows that can be compared."""
-
-MIN_CORRELATION = 0.85
-"""Correlation of windows that show the same ground."""
-
+MIN_GROUND_MOTION_DEG = 6.0  # angle by which the ground must move at a place
+SEARCH_PIXELS = 3  # pixels of the map that something may move beside the camera: an operator is never quite still
+MIN_GROUND_CONTRAST, MIN_OBJECT_CONTRAST = 0.02, 0.03  # standard deviation of colours in windows that can be compared
+MIN_CORRELATION = 0.85  # correlation of windows that show the same ground
+# Likeness in place of what moves with the camera, and its lead over the correlation of the moved ground.
 MIN_LIKENESS, MIN_LIKENESS_LEAD = 0.8, 0.25
-"""Likeness in place of what moves with the camera, and its lead over the correlation of the moved ground."""
-
+# Distances at which a window may look like itself, and how much it does where a pattern repeats.
 REPEAT_PIXELS, MIN_REPEAT_LIKENESS = range(4, 12), 0.7
-"""Distances at which a window may look like itself, and how much it does where a pattern repeats."""
-
+# Differences of smoothed colours in place, and from the moved ground, of what belongs to such windows.
 MAX_STILL_DIFFERENCE, MIN_GROUND_DIFFERENCE = 0.04, 0.06
-"""Differences of smoothed colours in place, and from the moved ground, of what belongs to such windows."""
-
+# How far from such windows the rest of an object is looked for, and how wide its gaps may be.
 GROWTH_PIXELS, CLOSING_PIXELS = 8, 4
-"""How far from such windows the rest of an object is looked for, and how wide its gaps may be."""
-
+# Where such an object has to begin, from the nadir, and its least area in square degrees.
 MAX_START_DEG, MIN_AREA_DEG2 = 22.0, 60.0
-"""Where such an object has to begin, from the nadir, and its least area in square degrees."""
-
+# Of the seeds of an object: a striped line on the ground may lie where another one lay in the other picture.
 MIN_UNIQUE_SHARE = 0.5
-"""Of the seeds of an object: a striped line on the ground may lie where another one lay in the other picture."""
-
-MARGIN_PIXELS = 2
-"""What is left out around everything found: soft edges, shadows of contact."""
+MARGIN_PIXELS = 2  # what is left out around everything found: soft edges, shadows of contact
 
 
 def find_camera_fixed(first: View, second: View, still: Mask | None = None) -> tuple[Mask | None, Mask | None]:

@@ -34,14 +34,10 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
 
+# Difference of colours that makes an estimate e times less likely where two contradict each other.
 COLOUR_MISMATCH_SCALE = 0.02
-"""Difference of colours that makes an estimate e times less likely where two contradict each other."""
-
-MAX_COLOUR_MISMATCH = 0.2
-"""Greater differences say no more, as masked pixels do."""
-
-MISMATCH_WINDOW_PIXELS = 3
-"""Side in pixels, at the size of the check, of the squares that colours are compared in."""
+MAX_COLOUR_MISMATCH = 0.2  # greater differences say no more, as masked pixels do
+MISMATCH_WINDOW_PIXELS = 3  # side in pixels, at the size of the check, of the squares that colours are compared in
 
 
 @dataclass(frozen=True)

@@ -31,15 +31,11 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererInputs
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
+# Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size.
 CROSS_CHECK_SIZE = (256, 512)
-"""Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
-
-
-EXPOSURE_DEPTH_SIZE = (128, 256)
-"""Rows and columns of the rough depth that exposures are compared with."""
-
+EXPOSURE_DEPTH_SIZE = (128, 256)  # rows and columns of the rough depth that exposures are compared with
+# Least weight of a photograph's own pixels: their colour is right, however uncertain their depth.
 MIN_PHOTO_WEIGHT = np.float32(0.01)
-"""Least weight of a photograph's own pixels: their colour is right, however uncertain their depth."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import View
 
-FADE_SHARE = 0.05
-"""Share of the way in which what is masked fades: four frames of ninety. Set by hand."""
+FADE_SHARE = 0.05  # share of the way in which what is masked fades: four frames of ninety. Set by hand.
 
 
 class MaskedFade:

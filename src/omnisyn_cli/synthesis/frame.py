@@ -21,11 +21,9 @@ from omnisyn_cli.types import Fuser
 FrameAllocator = Callable[[], UInt8[np.ndarray, "height width 3"]]
 
 
+# Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again.
 MAX_SHIFT_PIXELS = 0.25
-"""Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again."""
-
-MAX_REUSE_T_STEP = 1.0 / 512.0
-"""A share of the way that changes no colour by more than half of one of 256 levels."""
+MAX_REUSE_T_STEP = 1.0 / 512.0  # a share of the way that changes no colour by more than half of one of 256 levels
 
 
 @dataclass(frozen=True)

@@ -22,47 +22,32 @@ from omnisyn_cli.types import DepthEstimate, View
 ViewPair = tuple[View, View]
 DepthPair = tuple[DepthEstimate, DepthEstimate]
 
+# Up to which angle from the nadir ground is continued, and within which a masked region has to begin. Set by hand.
 MAX_GROUND_DEG, MAX_START_DEG = 60.0, 40.0
-"""Up to which angle from the nadir ground is continued, and within which a masked region has to begin. Set by hand."""
+RING_DEG = 12.0  # degrees around a gap whose depth says where its ground is. Set by hand.
 
-RING_DEG = 12.0
-"""Degrees around a gap whose depth says where its ground is. Set by hand."""
-
+# Share of what is known around a gap that has to agree on a height, and the relative range that counts as one. The last
+# one is for depth of little confidence, as on soft surfaces.
 MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE, SOFT_HEIGHT_TOLERANCE = 0.4, 0.1, 0.2
-"""Share of what is known around a gap that has to agree on a height, and the relative range that counts as one. The
-last one is for depth of little confidence, as on soft surfaces."""
-
-SAME_GROUND_TOLERANCE = 0.12
-"""Relative difference of inverse depth up to which a pixel shows the ground. Set by hand."""
-
+SAME_GROUND_TOLERANCE = 0.12  # relative difference of inverse depth up to which a pixel shows the ground. Set by hand.
+# Confidence of continued ground: what the other panorama shows there counts more. Set by hand.
 GROUND_CONFIDENCE = 0.05
-"""Confidence of continued ground: what the other panorama shows there counts more. Set by hand."""
 
+# Confidence from which on depth is that of the ground itself, and the other panorama's colours are too: soft surfaces
+# have 0.15.
 MIN_GROUND_CONFIDENCE = 0.3
-"""Confidence from which on depth is that of the ground itself, and the other panorama's colours are too: soft surfaces
-have 0.15."""
-
+# Pixels around a gap that its filling has to join, and the greatest difference that is added for it. Set by hand.
 EDGE_PIXELS, MAX_STEP = 4, 0.3
-"""Pixels around a gap that its filling has to join, and the greatest difference that is added for it. Set by hand."""
-
-MAX_GAIN = 2.0
-"""Ratio of brightness between the panoramas that is believed. Set by hand."""
-
+MAX_GAIN = 2.0  # ratio of brightness between the panoramas that is believed. Set by hand.
+# The other panorama is believed if this share of the pixels around a gap differs by less. Set by hand.
 MAX_RING_DIFFERENCE, MIN_RING_SHARE = 0.12, 0.6
-"""The other panorama is believed if this share of the pixels around a gap differs by less. Set by hand."""
 
+# Confidence of depth from which on a pixel may be part of a patch: furniture must not be copied. The second one is
+# tried where no patch has the first. Set by hand.
 SOURCE_CONFIDENCES = (0.5, 0.1)
-"""Confidence of depth from which on a pixel may be part of a patch: furniture must not be copied. The second one is
-tried where no patch has the first. Set by hand."""
-
-MIN_RING_PIXELS = 32
-"""Pixels around a gap that brightness can be compared at. Set by hand."""
-
-RING_PIXELS = 12
-"""Pixels around a gap that a patch has to fit. Set by hand."""
-
-MAX_FLAT_ROWS = 900
-"""Rows of the ground seen from above in which patches are looked for. Set by hand."""
+MIN_RING_PIXELS = 32  # pixels around a gap that brightness can be compared at. Set by hand.
+RING_PIXELS = 12  # pixels around a gap that a patch has to fit. Set by hand.
+MAX_FLAT_ROWS = 900  # rows of the ground seen from above in which patches are looked for. Set by hand.
 
 
 def continue_ground(views: ViewPair, depths: DepthPair) -> tuple[ViewPair, DepthPair]:

@@ -12,20 +12,11 @@ from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.types import View
 
-MAP_SIZE, MAP_DEG = 200, 70.0
-"""Rows of a map, and the angle from the nadir to the middle of its sides."""
-
-DEG_PER_PIXEL = 2.0 * MAP_DEG / MAP_SIZE
-"""Of a map: 0.7°."""
-
-PICTURE_ROWS = 256
-"""Rows to which pictures are reduced before: as fine as the map."""
-
-WINDOW = (9, 9)
-"""Windows of the map that are compared."""
-
-GROUND_HEIGHTS = np.geomspace(0.15, 3.5, 34)
-"""Heights of the camera above the ground that are tried, in baselines."""
+MAP_SIZE, MAP_DEG = 200, 70.0  # rows of a map, and the angle from the nadir to the middle of its sides
+DEG_PER_PIXEL = 2.0 * MAP_DEG / MAP_SIZE  # of a map: 0.7°
+PICTURE_ROWS = 256  # rows to which pictures are reduced before: as fine as the map
+WINDOW = (9, 9)  # Windows of the map that are compared
+GROUND_HEIGHTS = np.geomspace(0.15, 3.5, 34)  # heights of the camera above the ground that are tried, in baselines
 
 Mask = Bool[np.ndarray, "rows cols"]
 

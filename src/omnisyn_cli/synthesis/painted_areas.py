@@ -18,35 +18,24 @@ from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.synthesis.nadir_map import GROUND_HEIGHTS, NadirMap, ground_pixels, look_up
 from omnisyn_cli.types import View
 
-MAX_ROWS = 1024
-"""Rows of a picture that are looked at. Set by hand, as are all constants of this file."""
-
+MAX_ROWS = 1024  # rows of a picture that are looked at. Set by hand, as are all constants of this file.
+# Share of the rows that are at the nadir or zenith, and share of their pixels that have the colour of paint.
 POLE_SHARE, MIN_COLOUR_SHARE = 0.03, 0.5
-"""Share of the rows that are at the nadir or zenith, and share of their pixels that have the colour of paint."""
-
+# Noise of JPEG in levels of 255, and the share of an area that has none: .95 of paint, .3 of the plainest surfaces.
 TOLERANCE, MIN_EXACT_SHARE = 2, 0.8
-"""Noise of JPEG in levels of 255, and the share of an area that has none: .95 of paint, .3 of the plainest surfaces."""
-
+# Half the width of the narrowest area, and what is left out around it: JPEG spoils pixels beside an edge.
 OPENING_PIXELS, MARGIN_PIXELS = 2, 3
-"""Half the width of the narrowest area, and what is left out around it: JPEG spoils pixels beside an edge."""
-
+# Shares of the sphere: of the least area, of all, and of the largest hole in paint that goes too.
 MIN_AREA, MAX_AREA, MAX_HOLE = 0.0005, 0.15, 0.005
-"""Shares of the sphere: of the least area, of all, and of the largest hole in paint that goes too."""
-
+# Where pixels beside an area must have other colours, by how many levels, and how many of them.
 RING_PIXELS, MIN_EDGE_STEP, MIN_EDGE_SHARE = 6, 10, 0.35
-"""Where pixels beside an area must have other colours, by how many levels, and how many of them."""
-
+# Overlap in place of what is paint, by how much more a floor overlaps, and the overlap that needs no such lead.
 MIN_IN_PLACE, MIN_FLOOR_LEAD, MIN_FLOOR_OVERLAP = 0.35, 0.1, 0.8
-"""Overlap in place of what is paint, by how much more a floor overlaps, and the overlap that needs no such lead."""
-
+# Heights of the camera above a floor, in baselines.
 FLOOR_HEIGHTS = np.concatenate([GROUND_HEIGHTS, np.geomspace(4.0, 12.0, 8)])
-"""Heights of the camera above a floor, in baselines."""
-
-JPEG_BLOCK = 16
-"""Rows before an edge that its noise can reach."""
-
+JPEG_BLOCK = 16  # rows before an edge that its noise can reach
+# Share of the rows that a band may have, as skies end at the horizon, and share of a column that has its colour.
 MAX_BAND_SHARE, MIN_COLUMN_SHARE = 0.47, 0.98
-"""Share of the rows that a band may have, as skies end at the horizon, and share of a column that has its colour."""
 
 Mask = Bool[np.ndarray, "rows cols"]
 

@@ -28,70 +28,48 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.synthesis.consistency import CrossCheck, resized_to
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
+# Score of a pair from which on it is not softened. Two real restaurants, which soft surfaces make whole again, have 0
+# and 0.06.
 MAX_SOFT_SCORE = 0.1
-"""Score of a pair from which on it is not softened. Two real restaurants, which soft surfaces make whole again, have 0
-and 0.06."""
-
-UNCUT = Cut(None, None)
-"""Soft surfaces have no steps that stand for silhouettes."""
-
-SURFACE_GRID = (32, 64)
-"""Rows and columns of directions that planes are fitted around: 5.6 degrees each."""
-
+UNCUT = Cut(None, None)  # soft surfaces have no steps that stand for silhouettes
+SURFACE_GRID = (32, 64)  # rows and columns of directions that planes are fitted around: 5.6 degrees each
+# Rows and columns at which depth is read for the surface, and at which the surface is read for depth.
 SAMPLE_GRID, RAY_GRID = (256, 512), (128, 256)
-"""Rows and columns at which depth is read for the surface, and at which the surface is read for depth."""
 
+# Standard deviations of the windows that planes are fitted in, and their weights. Chosen by eye: at two thirds, windows
+# of real rooms look wavy.
 PLANE_WINDOWS_DEG, PLANE_WINDOW_WEIGHTS = (11.25, 22.5), (1.0, 0.1)
-"""Standard deviations of the windows that planes are fitted in, and their weights. Chosen by eye: at two thirds,
-windows of real rooms look wavy."""
 
+# Of the windows whose mean distance counts where nothing nearer is confirmed. A plane fitted so widely would pass
+# behind the camera.
 DISTANCE_WINDOWS_DEG, DISTANCE_WINDOW_WEIGHTS = (45.0, 112.5), (0.01, 1e-4)
-"""Of the windows whose mean distance counts where nothing nearer is confirmed. A plane fitted so widely would pass
-behind the camera."""
 
+# Errors in the logarithm of distance from which on depth hardly counts, from fit to fit: things in front of a wall, and
+# what is seen through its windows.
 OUTLIER_SCALES = (1.0, 0.5, 0.25, 0.25)
-"""Errors in the logarithm of distance from which on depth hardly counts, from fit to fit: things in front of a wall,
-and what is seen through its windows."""
+TILT_RIDGE = 0.004  # weight against planes that are tilted, relative to that of the depth around
 
-TILT_RIDGE = 0.004
-"""Weight against planes that are tilted, relative to that of the depth around."""
-
+# Reliability from which on depth stays as it is, and up to which the common surface takes its place. Chosen by eye on
+# two real restaurants and a generated home: at 0.6 and 0.25 pieces remain, at 1.3 and 0.7 whole floors are lost.
 KEPT_RELIABILITY, REPLACED_RELIABILITY = 0.9, 0.4
-"""Reliability from which on depth stays as it is, and up to which the common surface takes its place. Chosen by eye on
-two real restaurants and a generated home: at 0.6 and 0.25 pieces remain, at 1.3 and 0.7 whole floors are lost."""
-
+# Likeness of windows that confirms nothing, and how much more confirms all. Set by hand.
 MIN_LIKENESS, LIKENESS_RANGE = 0.1, 0.5
-"""Likeness of windows that confirms nothing, and how much more confirms all. Set by hand."""
-
+# Standard deviation of grey values up to which a window is judged by colour, and how much more is by structure.
 MIN_CONTRAST, CONTRAST_RANGE = 0.02, 0.04
-"""Standard deviation of grey values up to which a window is judged by colour, and how much more is by structure."""
-
+# Difference of mean grey values in a window without contrast that confirms nothing. Set by hand.
 MAX_COLOUR_DIFFERENCE = 0.12
-"""Difference of mean grey values in a window without contrast that confirms nothing. Set by hand."""
-
-UNSEEN_RELIABILITY = 0.6
-"""Share of its confidence that depth keeps where the other view does not show the place."""
-
+UNSEEN_RELIABILITY = 0.6  # share of its confidence that depth keeps where the other view does not show the place
+# In 1/baselines, added to the inverse distance that weights are divided by: near depth is less exact than far.
 SAMPLE_OFFSET = 0.1
-"""In 1/baselines, added to the inverse distance that weights are divided by: near depth is less exact than far."""
-
-MIN_SAMPLE_WEIGHT = 1e-4
-"""Of depth that nothing confirms: it counts only where nothing else is known."""
-
+MIN_SAMPLE_WEIGHT = 1e-4  # of depth that nothing confirms: it counts only where nothing else is known
+# Distances from the middle between which the surface is; the cameras stand at 0.5.
 NEAREST_SURFACE_BASELINES, FARTHEST_SURFACE_BASELINES = 0.3, 1e3
-"""Distances from the middle between which the surface is; the cameras stand at 0.5."""
-
-SOFT_CONFIDENCE = 0.15
-"""Confidence of soft depth: too little to hide the other view's surface (fusion/blend_rule.py)."""
-
+SOFT_CONFIDENCE = 0.15  # confidence of soft depth: too little to hide the other view's surface (fusion/blend_rule.py)
+# Inverse depth of the surface seen from a camera, in 1/(half baseline), between which it is looked for.
 INVERSE_DEPTH_RANGE = (1e-3, 20.0)
-"""Inverse depth of the surface seen from a camera, in 1/(half baseline), between which it is looked for."""
-
-BISECTIONS = 22
-"""Halvings of that range: each leaves half of its logarithm, 10 / 2^22 in the end."""
-
+BISECTIONS = 22  # halvings of that range: each leaves half of its logarithm, 10 / 2^22 in the end
+# A place has a ceiling if this share of what lies higher above the horizon is nearer than so many baselines.
 MIN_CEILING_DEG, MAX_CEILING_BASELINES, MIN_CEILING_SHARE = 30.0, 10.0, 0.5
-"""A place has a ceiling if this share of what lies higher above the horizon is nearer than so many baselines."""
 
 Depths = tuple[DepthEstimate, DepthEstimate]
 

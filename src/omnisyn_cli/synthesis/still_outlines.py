@@ -14,35 +14,20 @@ from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.synthesis.nadir_map import DEG_PER_PIXEL, MAP_SIZE, Mask, NadirMap, map_degrees, morphed
 from omnisyn_cli.types import View
 
-MIN_PICTURES, MAX_PICTURES = 3, 12
-"""A median of two says nothing; more than the last number need not be read."""
-
-PICTURE_SIZE = (512, 1024)
-"""Height and width at which pictures are read: finer than the map."""
-
+MIN_PICTURES, MAX_PICTURES = 3, 12  # a median of two says nothing; more than the last number need not be read
+PICTURE_SIZE = (512, 1024)  # height and width at which pictures are read: finer than the map
+# Added to grey values before their logarithm, in which exposure has no say. Set by hand, as are all constants here.
 BLACK = 0.02
-"""Added to grey values before their logarithm, in which exposure has no say. Set by hand, as are all constants here."""
-
+# Least gradient of an outline, per pixel of the map, and the one from so many pictures on: noise is less there.
 MIN_SLOPE, MIN_SLOPE_OF_MANY, MANY_PICTURES = 0.02, 0.03, 9
-"""Least gradient of an outline, per pixel of the map, and the one from so many pictures on: noise is less there."""
-
-MIN_SIGNIFICANCE = 3.0
-"""Ratio of the median gradient to its uncertainty."""
-
-NOISE = 0.003
-"""Gradient that differs from picture to picture anyhow."""
-
-CLOSING_PIXELS, MARGIN_PIXELS = 3, 1
-"""How far parts of an outline may be apart, and what is left out around it."""
-
+MIN_SIGNIFICANCE = 3.0  # ratio of the median gradient to its uncertainty
+NOISE = 0.003  # gradient that differs from picture to picture anyhow
+CLOSING_PIXELS, MARGIN_PIXELS = 3, 1  # how far parts of an outline may be apart, and what is left out around it
+# Where an outline has to begin, from the nadir, and to end: lines along the way of the camera reach the horizon.
 MAX_START_DEG, MAX_END_DEG = 12.0, 58.0
-"""Where an outline has to begin, from the nadir, and to end: lines along the way of the camera reach the horizon."""
-
-MIN_OUTLINE_PIXELS = 60
-"""Of the map, that an outline has to have."""
-
+MIN_OUTLINE_PIXELS = 60  # of the map, that an outline has to have
+# Turns of a cross of four rays, and how many of all sixteen rays meet an outline from inside of it.
 TURNS_DEG, MIN_HITS = (0.0, 22.5, 45.0, 67.5), 13
-"""Turns of a cross of four rays, and how many of all sixteen rays meet an outline from inside of it."""
 
 
 def spread_out(count: int) -> list[int]:

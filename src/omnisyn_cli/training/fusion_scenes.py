@@ -41,12 +41,11 @@ from omnisyn_cli.training.data import Array, load_samples, load_walk, save_sampl
 from omnisyn_cli.training.scene_makers import TiltedConfig, noisy_pose, scene_path, take_photograph
 from omnisyn_cli.types import DepthEstimator, Layer, View
 
+# Height of photographs and renderings, and of the stored pictures, in heights of the network inputs.
 RENDER_SCALE, PICTURE_SCALE = 4, 2
-"""Height of photographs and renderings, and of the stored pictures, in heights of the network inputs."""
-
+# Rows from which a pool serves half of them too: of fewer than 64 rows, windows are too narrow for the network.
 MIN_HALVED_ROWS = 128
-"""Rows from which a pool serves half of them too: of fewer than 64 rows, windows are too narrow for the network."""
-
+# First channel of the first view, of the second, and how many: what changes places when the views do.
 SWAPPED_CHANNELS = (
     (channel.FIRST_RGB, channel.SECOND_RGB, 3),
     (channel.BLEND_WEIGHTS, channel.BLEND_WEIGHTS + 1, 1),
@@ -56,36 +55,30 @@ SWAPPED_CHANNELS = (
     *((begin, begin + 3, 3) for begin in (warp.CANDIDATE_RGB, warp.CANDIDATE_RGB + 6)),
     *((begin, begin + 1, 1) for begin in (warp.HYPOTHESIS_OCCLUSION, warp.HYPOTHESIS_OCCLUSION + 2)),
 )
-"""First channel of the first view, of the second, and how many: what changes places when the views do."""
-
+# First of the three channels of each picture.
 COLOUR_CHANNELS = (
     channel.FIRST_RGB, channel.SECOND_RGB, channel.FUSED_RGB, warp.CROSS_VIEW, warp.CROSS_VIEW + 6,
     *range(warp.CANDIDATE_RGB, warp.HYPOTHESIS_DEPTHS, 3),
 )  # fmt: skip
-"""First of the three channels of each picture."""
-
+# Channels that are differences of colours.
 DIFFERENCE_CHANNELS = (
     warp.CROSS_VIEW + 3,
     warp.CROSS_VIEW + 9,
     warp.CANDIDATE_DIFFERENCE,
     warp.CANDIDATE_DIFFERENCE + 1,
 )
-"""Channels that are differences of colours."""
-
+# Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter.
 WINDOW_DIVISOR = 4
-"""Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter."""
 
 MIN_RELEVANCE = 1e-3  # Relevance of a column without any, so that windows are drawn there as well, now and then
 
+# Difference of √(inverse depth × baseline) between depth hypotheses that matters, and its relevance beside that of a
+# contradiction between the views.
 MIN_HYPOTHESIS_GAP, HYPOTHESIS_RELEVANCE = 0.05, 0.3
-"""Difference of √(inverse depth × baseline) between depth hypotheses that matters, and its relevance beside that of a
-contradiction between the views."""
-
+# Where the channels of the stored pictures are when the views change places.
 SWAPPED_PICTURES = [*range(3), *range(6, 9), *range(3, 6), *range(12, 15), *range(9, 12)]
-"""Where the channels of the stored pictures are when the views change places."""
-
+# Channels that change their sign then.
 SIGNED_CHANNELS = (channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POSITION)
-"""Channels that change their sign then."""
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.tasks import HELD_OUT_LOSS, TASKS, NetworkConfig, TrainConfig, on_device, task_of
 
+# Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation.
 CHECKPOINT, BEST_CHECKPOINT, LOG = "checkpoint.pt", "best.pt", "log.jsonl"
-"""Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation."""
 
 COLLAPSE_LOSS_RATIO = 1.25  # Ratio of the loss to the least so far from which on the run does not recover
 PROCESSOR = Precision(torch.device("cpu"))  # The processor in single precision

@@ -219,13 +219,13 @@ def completion_scores(
     }
 
 
+# Weights of absolute errors, and of squared errors in units of the typical one.
 ABSOLUTE_WEIGHT, SQUARED_WEIGHT = 0.5, 0.02
-"""Weights of absolute errors, and of squared errors in units of the typical one."""
 
 TYPICAL_SQUARED_ERROR = 5e-3  # Squared error of the geometric fusion where it is not known: 23 dB
 
+# Floors: easy scenes count at most as those of 40 dB; no picture counts as better than 100 dB.
 MIN_TYPICAL_ERROR, MIN_SQUARED_ERROR = 1e-4, 1e-10
-"""Floors: easy scenes count at most as those of 40 dB; no picture counts as better than 100 dB."""
 
 
 def network_inputs(

@@ -16,15 +16,15 @@ from omnisyn_cli.stereo.stereo_features import StereoFeatures, sqrt_inv_depth
 from omnisyn_cli.training.data import Augmentation, vary_colours
 from omnisyn_cli.types import View
 
+# √(inverse depth × baseline) of the best match, share that is left-right consistent, share that is sky, and the root of
+# the filled map.
 MATCHING_CHANNELS = 4
-"""√(inverse depth × baseline) of the best match, share that is left-right consistent, share that is sky, and the root
-of the filled map."""
 
 MATCHED_PAIRS = 3  # Of a walk: its ends, and two others
 MATCHED_RATIOS = (0.02, 2.6)  # Baseline over median depth of pairs that are matched
 
+# Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians.
 POSE_ERROR_SHARE, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
-"""Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians."""
 
 CELL = 2  # Rows of matching that make one of the guidance
 

@@ -5,11 +5,10 @@ import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+# Difference of √(inverse depth × baseline) with the brightest colour; fixed, so that steps can be compared.
 MAX_SHOWN_ERROR = 0.25
-"""Difference of √(inverse depth × baseline) with the brightest colour; fixed, so that steps can be compared."""
-
+# Percentile of the truth that has the last colour: a few pixels at the nadir would take the whole scale.
 NEAR_PERCENTILE = 99.0
-"""Percentile of the truth that has the last colour: a few pixels at the nadir would take the whole scale."""
 
 SHEET_GAP_PIXELS = 4  # Pixels between the pictures of a sheet
 

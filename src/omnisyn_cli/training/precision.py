@@ -8,9 +8,9 @@ import torch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.config import DEVICES
 
+# Questions to :mod:`torch.cpu`, not all of which every version of torch knows: whether there are instructions that
+# multiply in bfloat16. Without them torch imitates it, three times slower than single precision.
 BF16_INSTRUCTIONS = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
-"""Questions to :mod:`torch.cpu`, not all of which every version of torch knows: whether there are instructions that
-multiply in bfloat16. Without them torch imitates it, three times slower than single precision."""
 
 
 @dataclass(frozen=True)

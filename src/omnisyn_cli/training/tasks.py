@@ -156,6 +156,7 @@ def _completion_pictures(answer: CompletionPrediction, batch: FeatureBatch) -> d
     return predicted | {"filled": filled["prediction"], "known": known}
 
 
+# By the kind that a checkpoint names.
 TASKS: Mapping[str, Task] = {
     "paper": Task(
         PaperConfig,
@@ -231,7 +232,6 @@ TASKS: Mapping[str, Task] = {
         held_out=lambda path, _, stage: synsin.load_views(path, stage.size),
     ),
 }
-"""By the kind that a checkpoint names."""
 
 
 def task_of(config: NetworkConfig) -> str:

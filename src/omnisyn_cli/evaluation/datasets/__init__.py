@@ -10,13 +10,13 @@ from omnisyn_cli.evaluation.datasets.sources import SceneSource
 
 Finder = Callable[[Path], list[SceneSource]]
 
+# What finds the scenes of a folder, by the name of the layout; tried in this order.
 FORMATS: Mapping[str, Finder] = {
     "omnisyn": own_scenes,
     "carla": carla_scenes,
     "m3d": habitat_scenes,
     "zind": zind_scenes,
 }
-"""What finds the scenes of a folder, by the name of the layout; tried in this order."""
 
 
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:

@@ -49,11 +49,9 @@ from omnisyn_cli.poses.formats.trajectories import habitat_pose
 from omnisyn_cli.synthesis.still_outlines import PICTURE_SIZE, find_still_region, spread_out
 from omnisyn_cli.types import View
 
-HABITAT_POSITION = "*/tran.txt"
-"""The file of a panorama's position in data sets rendered by Habitat."""
-
+HABITAT_POSITION = "*/tran.txt"  # the file of a panorama's position in data sets rendered by Habitat
+# JPEG files, in the order of their names, are a tour where no pose file names its panoramas.
 PHOTOGRAPHS = "*.[jJ][pP]*[gG]"
-"""JPEG files, in the order of their names, are a tour where no pose file names its panoramas."""
 
 
 def own_scenes(folder: Path, *, allow_outside: bool = False) -> list[SceneSource]:
@@ -129,14 +127,9 @@ def _room_frames(folder: Path, floor: str, panoramas: dict[str, Panorama], scale
         yield SceneFrame(key, folder / panoramas[key].image_path, pose_on_floor(panoramas[key], scale))
 
 
-RUN_POSES = "gnss_data.json"
-"""Positions of a run in the authors' CARLA data."""
-
-LENGTH_TOLERANCE = 0.05
-"""Relative difference of two measures of one length that is put down to the shape of the earth."""
-
-MAX_PNG_DEPTH = 65.535
-"""Metres; the largest number that the files can hold."""
+RUN_POSES = "gnss_data.json"  # positions of a run in the authors' CARLA data
+LENGTH_TOLERANCE = 0.05  # relative difference of two measures of one length that is put down to the shape of the earth
+MAX_PNG_DEPTH = 65.535  # metres; the largest number that the files can hold
 
 
 class _Location(ForeignModel):

@@ -80,8 +80,7 @@ class Pair:
     after: SceneFrame | None = None
 
 
-AROUND_PAIRS = "around"
-"""Each frame is left out once, and its neighbours are the inputs."""
+AROUND_PAIRS = "around"  # each frame is left out once, and its neighbours are the inputs
 
 PairChooser = Callable[[Scene], list[Pair]]
 """Takes a scene to its pairs; raises InputError where a frame that was asked for is not there."""

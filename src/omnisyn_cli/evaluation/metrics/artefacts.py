@@ -32,17 +32,11 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pi
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.types import View
 
-COLOUR_TOLERANCE = 30 / 255
-"""Largest difference of a channel between colours that count as equal: 30 of 255 levels."""
-
-CELL_GRID_SIZE = (64, 128)
-"""Rows and columns of cells of 2.8°."""
-
+COLOUR_TOLERANCE = 30 / 255  # largest difference of a channel between colours that count as equal: 30 of 255 levels
+CELL_GRID_SIZE = (64, 128)  # rows and columns of cells of 2.8°
+# Rows and columns of the true depth that gives the range of a cell: four samples each, 36 with its neighbours.
 DEPTH_GRID_SIZE = (128, 256)
-"""Rows and columns of the true depth that gives the range of a cell: four samples each, 36 with its neighbours."""
-
-EPIPOLAR_MARGIN = np.radians(1.4)
-"""Radians beside the epipolar line that are searched: half a cell."""
+EPIPOLAR_MARGIN = np.radians(1.4)  # radians beside the epipolar line that are searched: half a cell
 
 
 class _Pixels(NamedTuple):
@@ -151,32 +145,19 @@ def _pixels_of(rays: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.
     return np.clip(np.rint(row).astype(np.int64), 0, size[0] - 1), np.rint(col).astype(np.int64) % size[1]
 
 
-MAX_ROWS = 512
-"""Rows at which edges are found: finer ones depend on the sharpness of a picture."""
-
-SMOOTHING_SIGMA = 1.0
-"""Pixels of the Gaussian filter before edges are found."""
-
-SIDE_DISTANCE = 2.5
-"""Pixels from an edge to where the colours of its sides are read: beyond the smoothed step."""
-
+MAX_ROWS = 512  # rows at which edges are found: finer ones depend on the sharpness of a picture
+SMOOTHING_SIGMA = 1.0  # pixels of the Gaussian filter before edges are found
+SIDE_DISTANCE = 2.5  # pixels from an edge to where the colours of its sides are read: beyond the smoothed step
+# Least difference of both sides in some channel. Fainter edges of photographs count: frames may show them sharper.
 MIN_CONTRAST, MIN_PHOTOGRAPH_CONTRAST = 0.3, 0.12
-"""Least difference of both sides in some channel. Fainter edges of photographs count: frames may show them sharper."""
-
+# Distances that count as 1: of all six values of RGB in [0, 1], and of unit vectors (60°).
 COLOUR_SCALE, DIRECTION_SCALE = 0.15, 1.0
-"""Distances that count as 1: of all six values of RGB in [0, 1], and of unit vectors (60°)."""
-
+# Most columns for one row: within 14° of a pole, steps along a row get shorter than those along a column.
 MAX_STRETCH = 4.0
-"""Most columns for one row: within 14° of a pole, steps along a row get shorter than those along a column."""
-
-BORDER = int(np.ceil(MAX_STRETCH * SIDE_DISTANCE)) + 1
-"""Pixels beyond the picture that its edges are read from."""
-
+BORDER = int(np.ceil(MAX_STRETCH * SIDE_DISTANCE)) + 1  # pixels beyond the picture that its edges are read from
+# FLANN_INDEX_KDTREE_SINGLE, which is exact.
 KD_TREE: dict[str, bool | int | float | str] = {"algorithm": 4, "leaf_max_size": 16}
-"""FLANN_INDEX_KDTREE_SINGLE, which is exact."""
-
-EXACT_SEARCH: dict[str, bool | int | float | str] = {"checks": -1, "eps": 0.0}
-"""No leaf is left out."""
+EXACT_SEARCH: dict[str, bool | int | float | str] = {"checks": -1, "eps": 0.0}  # no leaf is left out
 
 
 class Edges(NamedTuple):

@@ -13,17 +13,13 @@ from jaxtyping import Bool, Float
 from omnisyn_cli.evaluation.metrics.image import check_same_size
 from omnisyn_cli.geometry.sphere import row_weights
 
+# Metres; pixels whose true depth lies strictly between are scored, in every metric the same ones.
 SCORED_DEPTH = (1.0, 50.0)
-"""Metres; pixels whose true depth lies strictly between are scored, in every metric the same ones."""
-
+# Metres; an estimate beyond, infinity included, counts as this far in the metrics that are measured in metres.
 FAR_BOUND = 100.0
-"""Metres; an estimate beyond, infinity included, counts as this far in the metrics that are measured in metres."""
-
+# Greatest ratios of depth that count as right, by the ends of their keys; 1.25 and its powers are usual.
 DELTAS = {"105": 1.05, "110": 1.10, "125": 1.25, "125_squared": 1.25**2, "125_cubed": 1.25**3}
-"""Greatest ratios of depth that count as right, by the ends of their keys; 1.25 and its powers are usual."""
-
-CONFIDENCE_BINS = 10
-"""Of confidence, equally wide."""
+CONFIDENCE_BINS = 10  # of confidence, equally wide
 
 Values = Float[np.ndarray, " count"]
 

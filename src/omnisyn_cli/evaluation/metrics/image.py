@@ -17,11 +17,9 @@ from omnisyn_cli.geometry.sphere import mean_over_sphere, row_weights
 Picture = Float[np.ndarray, "height width 3"]
 Masks = Mapping[str, Bool[np.ndarray, "height width"]]
 
-PEAK = 1.0
-"""The greatest value of an image."""
-
+PEAK = 1.0  # the greatest value of an image
+# Pixels along the side of the Gaussian window, and its standard deviation (Wang et al., 2004).
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
-"""Pixels along the side of the Gaussian window, and its standard deviation (Wang et al., 2004)."""
 
 LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
 CONTRAST_FLOOR = (0.03 * PEAK) ** 2

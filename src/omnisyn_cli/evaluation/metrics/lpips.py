@@ -13,11 +13,9 @@ from omnisyn_cli.geometry.sampling import sample_bicubic
 from omnisyn_cli.geometry.sphere import FORWARD
 from omnisyn_cli.runtime.session import open_session
 
+# Where the six faces look: forward, backward, right, up, left, down.
 FACES = (FORWARD, -FORWARD, *np.eye(3)[:2], *-np.eye(3)[:2])
-"""Where the six faces look: forward, backward, right, up, left, down."""
-
-SMALLEST_FACE = 64
-"""Pixels; a network of five poolings has nothing left of less."""
+SMALLEST_FACE = 64  # pixels; a network of five poolings has nothing left of less
 
 
 class Lpips:

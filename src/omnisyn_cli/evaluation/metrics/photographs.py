@@ -9,11 +9,9 @@ from omnisyn_cli.evaluation.metrics.image import SSIM_WINDOW, Picture, decibels,
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import row_weights, solid_angles
 
+# Displacement up to which a frame is aligned with the photograph. Farther away it shows something else.
 MAX_FLOW_DEG = 4.0
-"""Displacement up to which a frame is aligned with the photograph. Farther away it shows something else."""
-
-CAMERA_DEG = 40.0
-"""Around the nadir nothing is compared: a tripod, a hood or an operator is there in most photographs."""
+CAMERA_DEG = 40.0  # around the nadir nothing is compared: a tripod, a hood or an operator is there in most photographs
 
 Usable = Bool[np.ndarray, "height width"]
 

@@ -21,8 +21,8 @@ from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 
+# Inverse depth, 1/m, below which values always agree: beyond a kilometre parallax is invisible.
 FAR_INVERSE_DEPTH = 1e-3
-"""Inverse depth, 1/m, below which values always agree: beyond a kilometre parallax is invisible."""
 
 Frames = Sequence[Float[np.ndarray, "height width 3"]]
 InverseDepths = Sequence[Float[np.ndarray, "height width"]]

@@ -11,20 +11,14 @@ from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.geometry.sampling import add_columns
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourStep
 
+# Confidence of what only one layer shows, however reliable its depth: nothing confirms it. Set by hand.
 ONE_VIEW_CONFIDENCE = np.float32(0.6)
-"""Confidence of what only one layer shows, however reliable its depth: nothing confirms it. Set by hand."""
-
+# Relative difference of inverse depth at which confidence has fallen to 1/e. Set by hand.
 DEPTH_TOLERANCE = np.float32(0.1)
-"""Relative difference of inverse depth at which confidence has fallen to 1/e. Set by hand."""
-
-COLOUR_TOLERANCE = np.float32(0.15)
-"""Root mean square difference of colour at which it has. Set by hand."""
-
-REGION_ROWS = 32
-"""Rows of the coarse grid of regions: about 6°. Set by hand."""
-
+COLOUR_TOLERANCE = np.float32(0.15)  # root mean square difference of colour at which it has. Set by hand.
+REGION_ROWS = 32  # rows of the coarse grid of regions: about 6°. Set by hand.
+# Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Set by hand.
 GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
-"""Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Set by hand."""
 
 
 def confidence_step(

@@ -12,17 +12,10 @@ from omnisyn_cli.fusion.photometry.exposure_kernels import look_up_rows
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.types import View
 
-SAMPLE_SIZE = (64, 128)
-"""Height and width at which the values of a panorama are counted. Set by hand."""
-
-MIN_UNMASKED_SHARE = 0.99
-"""Share of a sample that has to be unmasked. Set by hand."""
-
-CLIPPED_SRGB = 0.99
-"""sRGB value from which on a channel of a sample was clipped by its camera. Set by hand."""
-
-MAX_CLIPPED_SHARE = 0.02
-"""Share of the sphere above which a picture counts as clipped. Set by hand."""
+SAMPLE_SIZE = (64, 128)  # height and width at which the values of a panorama are counted. Set by hand.
+MIN_UNMASKED_SHARE = 0.99  # share of a sample that has to be unmasked. Set by hand.
+CLIPPED_SRGB = 0.99  # sRGB value from which on a channel of a sample was clipped by its camera. Set by hand.
+MAX_CLIPPED_SHARE = 0.02  # share of the sphere above which a picture counts as clipped. Set by hand.
 
 
 def rough_exposure_curve(first: View, second: View) -> ExposureCurve:

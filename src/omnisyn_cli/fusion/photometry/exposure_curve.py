@@ -29,56 +29,40 @@ SRGB_OFFSET = 0.055
 SRGB_GAMMA = 2.4
 """Of the sRGB transfer function from encoded value to linear light (IEC 61966-2-1:1999, 5.2)."""
 
+# Levels in stops at which the gain is kept; it is linear between them and constant beyond. Set by hand.
 KNOTS = np.array([-7.0, -5.5, -4.0, -2.5, -1.5, -0.5])
-"""Levels in stops at which the gain is kept; it is linear between them and constant beyond. Set by hand."""
+USABLE_SRGB = (0.04, 0.97)  # usable sRGB values: darker ones are noise, brighter ones may be clipped. Set by hand.
 
-USABLE_SRGB = (0.04, 0.97)
-"""Usable sRGB values: darker ones are noise, brighter ones may be clipped. Set by hand."""
-
+# Level of the brighter picture up to which a level counts: above, clipped places are missing from its samples, which
+# would bias the median. Set by hand.
 MAX_LEVEL_STOPS = -0.25
-"""Level of the brighter picture up to which a level counts: above, clipped places are missing from its samples, which
-would bias the median. Set by hand."""
-
+# Pictures that differ by less in all channels count as equally exposed: about 1 % of an sRGB value. Set by hand.
 MIN_GAIN_STOPS = 0.04
-"""Pictures that differ by less in all channels count as equally exposed: about 1 % of an sRGB value. Set by hand."""
-
-MIN_USABLE_SHARE = 0.01
-"""Share of all samples that has to be usable. Set by hand."""
-
+MIN_USABLE_SHARE = 0.01  # share of all samples that has to be usable. Set by hand.
+# Weight of a step between knots, as a share of all samples: empty knots follow their neighbours. Set by hand.
 SMOOTHNESS_WEIGHT = 0.02
-"""Weight of a step between knots, as a share of all samples: empty knots follow their neighbours. Set by hand."""
-
+# Share of the typical difference that a curve may leave; above it the pictures differ in other ways. Set by hand.
 MAX_UNEXPLAINED_SHARE = 0.9
-"""Share of the typical difference that a curve may leave; above it the pictures differ in other ways. Set by hand."""
-
+# Differences count as this at most when a curve is judged: moving things may differ by any amount. Set by hand.
 MAX_OUTLIER_STOPS = 2.0
-"""Differences count as this at most when a curve is judged: moving things may differ by any amount. Set by hand."""
+INLIER_STOPS = 0.15  # a sample agrees with a curve if it leaves at most this difference. Set by hand.
 
-INLIER_STOPS = 0.15
-"""A sample agrees with a curve if it leaves at most this difference. Set by hand."""
-
+# Share of inliers beyond chance, of all that chance leaves (Cohen's kappa). On wide generated pairs, curves from right
+# depth reach 0.2 to 0.9, and curves from wrong depth 0.16 in one of the halves.
 MIN_INLIER_EXCESS = 0.18
-"""Share of inliers beyond chance, of all that chance leaves (Cohen's kappa). On wide generated pairs, curves from right
-depth reach 0.2 to 0.9, and curves from wrong depth 0.16 in one of the halves."""
-
+# By how much a curve has to raise the share of inliers. On the same pairs, right curves raise it by 0.11 or more.
 MIN_INLIER_GAIN = 0.1
-"""By how much a curve has to raise the share of inliers. On the same pairs, right curves raise it by 0.11 or more."""
-
+# What moving a few metres may change in the distribution of a picture's values. Set by hand.
 MIN_ROUGH_GAIN_STOPS = 0.25
-"""What moving a few metres may change in the distribution of a picture's values. Set by hand."""
-
+# Quantiles of both pictures that the rough gain compares; the ends are left out. Set by hand.
 QUANTILES = np.linspace(0.05, 0.95, 46)
-"""Quantiles of both pictures that the rough gain compares; the ends are left out. Set by hand."""
 
 GAIN_BINS_PER_STOP = 50
 LEVEL_BINS_PER_STOP = 4
 """Resolution of the histogram that medians are read from. Set by hand."""
 
-MAX_GAIN_STOPS = 5.0
-"""The largest gain that is looked for. Set by hand."""
-
-EXPOSURE_TABLE_ENTRIES = 1024
-"""Entries of a table from sRGB value to sRGB value, evenly from 0 to 1; read linearly."""
+MAX_GAIN_STOPS = 5.0  # the largest gain that is looked for. Set by hand.
+EXPOSURE_TABLE_ENTRIES = 1024  # entries of a table from sRGB value to sRGB value, evenly from 0 to 1; read linearly
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,10 @@ from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
+# sRGB value from which on a channel may be clipped: interpolation mixes white with what is near. Set by hand.
 CLIPPING_SRGB = np.float32(0.94)
-"""sRGB value from which on a channel may be clipped: interpolation mixes white with what is near. Set by hand."""
-
+# Share of its weight that a clipped colour may lose; the rest fills where only it is seen. Set by hand.
 MAX_CLIPPED_WEIGHT_LOSS = 0.95
-"""Share of its weight that a clipped colour may lose; the rest fills where only it is seen. Set by hand."""
 
 
 def _make_exposure_change(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:

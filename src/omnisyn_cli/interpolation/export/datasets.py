@@ -33,13 +33,12 @@ from omnisyn_cli.poses.formats.json_files import nerfstudio_text
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, LEFT, TOP
 
+# Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %. And its
+# thickness, in its radius. Half way through a warehouse radii of 0.5 and 0.55 are best (24.6 dB, 0.6 has 24.1), and 0.5
+# lets twice as much through.
 DISC_RADIUS_SHARE, DISC_THICKNESS_SHARE = 0.55, 0.01
-"""Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %. And its
-thickness, in its radius. Half way through a warehouse radii of 0.5 and 0.55 are best (24.6 dB, 0.6 has 24.1), and 0.5
-lets twice as much through."""
-
+# Between a surface's normal and the line of sight: what is seen at a smaller angle gets no longer discs.
 MIN_COSINE = 0.25
-"""Between a surface's normal and the line of sight: what is seen at a smaller angle gets no longer discs."""
 
 DISC_OPACITY = 0.99
 ZEROTH_HARMONIC = 0.28209479177387814
@@ -184,6 +183,7 @@ def _structured(columns: dict[str, tuple[np.ndarray, str]]) -> np.ndarray:
     return np.rec.fromarrays([values for values, _ in columns.values()], dtype=kinds)
 
 
+# Faces of a cube: rig-from-face in OpenCV's camera axes; "front" is the centre of the panorama.
 FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
     "front": np.eye(3),
     "right": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
@@ -192,10 +192,8 @@ FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
     "up": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "down": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-"""Faces of a cube: rig-from-face in OpenCV's camera axes; "front" is the centre of the panorama."""
-
+# Folders of the two models of COLMAP, and of its files in each.
 PANORAMAS, RIG, MODEL = "panoramas", "faces", "sparse/0"
-"""Folders of the two models of COLMAP, and of its files in each."""
 
 COLMAP_FILES = (
     *(f"{PANORAMAS}/{files}" for files in ("images/*.jpg", "depth/*.exr", "masks/*.jpg.png")),
@@ -210,11 +208,8 @@ NERFSTUDIO_FILES = ("images/*.jpg", "depths/*.png", "masks/*.png")
 
 TRANSFORMS = "transforms.json"
 
-OWN_NAME = r"(\d{4,}_[A-Za-z0-9._-]*)"
-"""What :func:`safe_name` makes, as a group."""
-
-MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535
-"""In a metre; in samples of 16 bits."""
+OWN_NAME = r"(\d{4,}_[A-Za-z0-9._-]*)"  # what :func:`safe_name` makes, as a group
+MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535  # in a metre; in samples of 16 bits
 
 
 def safe_name(index: int, image: Path) -> str:

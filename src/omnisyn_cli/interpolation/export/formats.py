@@ -16,21 +16,15 @@ from omnisyn_cli.io import check_output
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept
 
-JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES = 0.4, 40
-"""Of each pixel of a texture and each vertex of a surface in a GLB."""
-
+JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES = 0.4, 40  # of each pixel of a texture and each vertex of a surface in a GLB
+# Of a point that is kept, and points for each vertex: they lie as dense everywhere, vertices denser at the poles.
 POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
-"""Of a point that is kept, and points for each vertex: they lie as dense everywhere, vertices denser at the poles."""
+PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68  # of a point and of a disc in a file
 
-PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
-"""Of a point and of a disc in a file."""
-
+# Of a site without depth: the program, each pixel of a panorama that is read and made level, and each pixel of a clip
+# besides what finding depth takes: all of its frames are held to be played backwards. Measured.
 SITE_BYTES, SITE_PIXEL_BYTES, CLIP_PIXEL_BYTES = 290e6, 54, 190
-"""Of a site without depth: the program, each pixel of a panorama that is read and made level, and each pixel of a clip
-besides what finding depth takes: all of its frames are held to be played backwards. Measured."""
-
-MAX_CLIP_ROWS = 1024
-"""What telephones decode besides showing a sphere."""
+MAX_CLIP_ROWS = 1024  # what telephones decode besides showing a sphere
 
 
 class Format(NamedTuple):
@@ -50,6 +44,7 @@ class Format(NamedTuple):
     writing: float = 0.0
 
 
+# By name. A ``.ply`` without a name is points.
 FORMATS: Mapping[str, Format] = {
     "glb": Format(".glb", "y", 1, sky=True),
     "ply": Format(".ply", "y", 1, sky=False, point=PLY_POINT_BYTES),
@@ -58,7 +53,6 @@ FORMATS: Mapping[str, Format] = {
     "nerfstudio": Format("", "z", 4, sky=False, point=PLY_POINT_BYTES, writing=20),
     **{name: Format("", "y", 1, sky=True) for name in VIEWERS},
 }
-"""By name. A ``.ply`` without a name is points."""
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,11 @@ from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.simplify import flat_rectangles
 
+# Share of its distance by which a point of the surface may be moved along its ray: with true depth that leaves one
+# triangle in six and costs 0.03 dB half way; with estimated depth one in four. Texture pixels by which the picture may
+# be shifted on the surface: twice as many cost 0.4 dB on a warehouse.
 MAX_FLATNESS, SHIFT = 0.01, 0.25
-"""Share of its distance by which a point of the surface may be moved along its ray: with true depth that leaves one
-triangle in six and costs 0.03 dB half way; with estimated depth one in four. Texture pixels by which the picture may be
-shifted on the surface: twice as many cost 0.4 dB on a warehouse."""
-
-POLE_PIECES = 2
-"""Points at the pole of a piece of a cap, which are the first two of its four."""
+POLE_PIECES = 2  # points at the pole of a piece of a cap, which are the first two of its four
 
 
 @dataclass(frozen=True)
@@ -208,8 +206,7 @@ def _in_pieces(mesh: Mesh, pieces: Float[np.ndarray, "pieces 4 4"]) -> Part:
     return pieces.reshape(-1, 4).astype(np.float64), np.stack([row, col], -1).reshape(-1, 2), triangles
 
 
-MAX_GLB_BYTES = 2**32 - 1
-"""Lengths in a GLB are numbers of 32 bits."""
+MAX_GLB_BYTES = 2**32 - 1  # lengths in a GLB are numbers of 32 bits
 
 TRIANGLES, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 4, 34962, 34963
 LINEAR_FILTER, MIPMAP_FILTER, CLAMP_TO_EDGE, REPEAT = 9729, 9987, 33071, 10497

@@ -38,22 +38,17 @@ from omnisyn_cli.poses.formats.files import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh
 from omnisyn_cli.types import DepthEstimator, View
 
+# Share of its radius by which the dome of each panorama is larger than the last one's, so that none flickers.
 DOME_STEP_SHARE = 0.01
-"""Share of its radius by which the dome of each panorama is larger than the last one's, so that none flickers."""
-
-DOME_SHARE = 1.0 - 1e-4
-"""What is as far as this share of the dome's radius lies on it."""
-
-
+DOME_SHARE = 1.0 - 1e-4  # what is as far as this share of the dome's radius lies on it
+# A second and a half, because longer ones make people wait; two thirds of the bytes of other videos.
 CLIP_FRAMES, CLIP_FPS, CLIP_CRF = 37, 24.0, 20.0
-"""A second and a half, because longer ones make people wait; two thirds of the bytes of other videos."""
 
 Pairs = Iterator[PairSurfaces]
 Count = Callable[[int], None]
 """What is found of a tour; called with the number of finished panoramas."""
 
-HOTSPOT_PIXELS = 2048
-"""Longest side of the picture of a hotspot. Set by hand."""
+HOTSPOT_PIXELS = 2048  # longest side of the picture of a hotspot. Set by hand.
 
 
 def run_export(

@@ -19,23 +19,18 @@ from omnisyn_cli.poses.tour import Hotspot, Tour, TourPanorama
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, usable_image
 from omnisyn_cli.types import View
 
-PICTURES, DEPTH, HOTSPOTS, CLIPS = "panoramas", "depth", "hotspots", "clips"
-"""Folders of a site."""
-
+PICTURES, DEPTH, HOTSPOTS, CLIPS = "panoramas", "depth", "hotspots", "clips"  # folders of a site
+# Files of those folders in the text that describes a tour.
 NAMED_FILE = re.compile(
     rf'(?<=")(?:{PICTURES}|{DEPTH}|{HOTSPOTS}|{CLIPS})/\d{{4}}[\w-]*\.(?:jpg|depth|mp4)(?=\\?")', re.A
 )
-"""Files of those folders in the text that describes a tour."""
 
+# Rows that are made level at once: tables for whole panoramas would take many times their memory. Radians by which a
+# panorama may be turned and count as level and looking north: a third of a pixel of 16384.
 REMAP_ROWS, LEVEL_TOLERANCE = 256, 1e-4
-"""Rows that are made level at once: tables for whole panoramas would take many times their memory. Radians by which a
-panorama may be turned and count as level and looking north: a third of a pixel of 16384."""
-
-DEPTH_ROWS, DEPTH_COLS = 128, 256
-"""Steps of the grid of a depth model; its vertices have to be fewer than 65,536."""
-
+DEPTH_ROWS, DEPTH_COLS = 128, 256  # steps of the grid of a depth model; its vertices have to be fewer than 65,536
+# Where the mark of a panorama is shown that was taken at the very same place: below, so that it hides little.
 SAME_PLACE_PITCH = math.radians(-30.0)
-"""Where the mark of a panorama is shown that was taken at the very same place: below, so that it hides little."""
 
 
 @dataclass(frozen=True)

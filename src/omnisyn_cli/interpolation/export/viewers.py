@@ -23,17 +23,11 @@ from omnisyn_cli.geometry.sphere import angles_to_direction
 from omnisyn_cli.interpolation.export.site import DEPTH, Site, SiteMark, SitePanorama
 from omnisyn_cli.poses.formats.files import WORLD_UP
 
-VENDOR = "vendor"
-"""Folder of a site for the viewer's own files, which are not part of it."""
-
-WINDOW_ASPECT = 16 / 9
-"""Width by height of the window for which a vertical field of view becomes a horizontal one."""
-
+VENDOR = "vendor"  # folder of a site for the viewer's own files, which are not part of it
+WINDOW_ASPECT = 16 / 9  # width by height of the window for which a vertical field of view becomes a horizontal one
+# Degrees from top to bottom at its greatest and least zoom; and where nobody says, as it has no default of its own.
 PHOTO_SPHERE_VIEWER_FOVS, MARZIPANO_FOV = (30.0, 90.0), 75.0
-"""Degrees from top to bottom at its greatest and least zoom; and where nobody says, as it has no default of its own."""
-
-CENTIMETRES = 100.0
-"""In a metre: krpano's unit."""
+CENTIMETRES = 100.0  # in a metre: krpano's unit
 
 
 @dataclass(frozen=True)
@@ -208,6 +202,7 @@ def _downwards(at: SiteMark | SitePanorama) -> dict[str, float]:
     return {"yaw": at.yaw, "pitch": -at.pitch}
 
 
+# By the name of the format.
 VIEWERS: Mapping[str, Viewer] = {
     "pannellum": Viewer(("tour.json", _pannellum), {"pannellum": "^2.5.6"}, plays_clips=True),
     "photo-sphere-viewer": Viewer(
@@ -217,4 +212,3 @@ VIEWERS: Mapping[str, Viewer] = {
     "marzipano": Viewer(("tour.json", _marzipano), {"marzipano": "^0.10.2"}, plays_clips=True),
     "krpano": Viewer(("tour.xml", _krpano), {}, has_depth=True),
 }
-"""By the name of the format."""

@@ -25,12 +25,11 @@ from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, ga
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.presets import SCALE
 
-TABLE_NAME = "pareto.json"
-"""Figures of speed that come with the program."""
+TABLE_NAME = "pareto.json"  # figures of speed that come with the program
 
+# Set by hand: n threads do as much as n to this power; factor between what is expected and its bounds; tries of the
+# probe, the fastest of which counts, as others may disturb it.
 THREAD_SCALING_EXPONENT, SPREAD, PROBE_REPEATS = 0.75, 2.0, 4
-"""Set by hand: n threads do as much as n to this power; factor between what is expected and its bounds; tries of the
-probe, the fastest of which counts, as others may disturb it."""
 
 
 @dataclass(frozen=True)

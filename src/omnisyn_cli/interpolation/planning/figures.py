@@ -21,14 +21,10 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.pipeline.config import RunConfig
 
+# ``encode`` is what is in no other stage: samples are converted, and the encoder works.
 FRAME_STAGES = ("render", "fuse", "encode")
-"""``encode`` is what is in no other stage: samples are converted, and the encoder works."""
-
-STANDARD_FRAMES = 90
-"""Frames of the clip that settings are compared by: three seconds between two panoramas."""
-
-TABLE_VERSION = 2
-"""Raised whenever old tables cannot be read any more."""
+STANDARD_FRAMES = 90  # frames of the clip that settings are compared by: three seconds between two panoramas
+TABLE_VERSION = 2  # raised whenever old tables cannot be read any more
 
 
 @dataclass(frozen=True)
@@ -72,8 +68,7 @@ class Figures:
         return fmean(self.scores.values()) if self.scores else None
 
 
-FIGURES = TypeAdapter(Figures)
-"""Makes figures of the plain values again."""
+FIGURES = TypeAdapter(Figures)  # makes figures of the plain values again
 
 
 def gain(figures: Figures, other: Figures) -> tuple[float, float]:

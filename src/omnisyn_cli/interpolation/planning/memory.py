@@ -12,19 +12,17 @@ from omnisyn_cli.io import read_header
 from omnisyn_cli.io.video import frames_in_queue
 from omnisyn_cli.pipeline.config import RunConfig
 
+# Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
+# samples of 8 bits.
 FRAME_COPY_BYTES, ROUNDED_COPY_BYTES = 18, 10
-"""Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
-samples of 8 bits."""
-
+# Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes.
 CONFIDENCE_BYTES = 12
-"""Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
-
+# Pixels of a texture with its mip levels, in those of the picture; bytes of each pixel of a panorama as numbers.
 MIP_LEVEL_SHARE, FLOAT_PIXEL_BYTES = 4 / 3, 12
-"""Pixels of a texture with its mip levels, in those of the picture; bytes of each pixel of a panorama as numbers."""
 
+# Bytes that finding the depth of one pair leaves lying until that of the next is found; and those of each vertex of a
+# surface that are held of the pair after the one at work, and while both are joined.
 UNCOLLECTED_BYTES, LOOK_AHEAD_VERTEX_BYTES = 80e6, 4 * 8
-"""Bytes that finding the depth of one pair leaves lying until that of the next is found; and those of each vertex of a
-surface that are held of the pair after the one at work, and while both are joined."""
 
 
 @dataclass(frozen=True)

@@ -36,24 +36,20 @@ from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, KnownDepth
 
+# Of the world; of the angle from straight down up to which ground is looked for; where there is none.
 UP_AXIS, MIN_GROUND_COSINE, DEFAULT_EYE_HEIGHT_METRES = 1, 0.8, 1.5
-"""Of the world; of the angle from straight down up to which ground is looked for; where there is none."""
-
-FORMAT_VERSION = 1
-"""Of the manifest; a reader refuses others."""
-
-HOTSPOT_PIXELS, PLAN_PIXELS = 1600, 2048
-"""Longer side of the pictures of hotspots, and of a floor plan."""
-
+FORMAT_VERSION = 1  # of the manifest; a reader refuses others
+HOTSPOT_PIXELS, PLAN_PIXELS = 1600, 2048  # longer side of the pictures of hotspots, and of a floor plan
+# Value of a sample that changes nothing, and samples for a change by the whole range.
 NO_CORRECTION, CORRECTION_SCALE = 128, 127
-"""Value of a sample that changes nothing, and samples for a change by the whole range."""
 
+# Of the picture: more rows gain nothing. Of the change that is kept, as the network answers a little differently for
+# every heading: all of it gains less. In samples: a picture that changes less everywhere is left out.
 CORRECTION_ROWS, CORRECTION_SHARE, MIN_CORRECTION = 512, 0.7, 4
-"""Of the picture: more rows gain nothing. Of the change that is kept, as the network answers a little differently for
-every heading: all of it gains less. In samples: a picture that changes less everywhere is left out."""
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
+# Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye.
 RULES: Mapping[str, float] = {
     "MIN_VISIBLE_WEIGHT": float(MIN_VISIBLE_WEIGHT),
     "DEPTH_CONFIDENCE_GAIN": DEPTH_CONFIDENCE_GAIN,
@@ -70,7 +66,6 @@ RULES: Mapping[str, float] = {
     "CORRECTION_SCALE": float(CORRECTION_SCALE),
     "NEAR": 0.02,
 }
-"""Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
 
 
 class TourPacker:

@@ -17,15 +17,12 @@ from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.render.mesh import Mesh
 
-NO_SURFACE_CODE = 65535
-"""Code of a vertex without a surface; those of inverse depths are smaller."""
+NO_SURFACE_CODE = 65535  # code of a vertex without a surface; those of inverse depths are smaller
 
+# Of JPEG files: at 92 they are a third larger. Of the first picture of a panorama: it takes some 50 kB, so that
+# something shows at once.
 JPEG_QUALITY, PREVIEW_COLUMNS, PREVIEW_QUALITY = 88, 768, 72
-"""Of JPEG files: at 92 they are a third larger. Of the first picture of a panorama: it takes some 50 kB, so that
-something shows at once."""
-
-MIN_REDUCTION = 1.5
-"""Ratio of the widths of a photograph's levels: less is not worth a level of its own."""
+MIN_REDUCTION = 1.5  # ratio of the widths of a photograph's levels: less is not worth a level of its own
 
 
 def level_widths(width: int, *, has_half: bool) -> list[int]:

@@ -15,23 +15,17 @@ from omnisyn_cli.interpolation.viewer.contents import RULES
 from omnisyn_cli.interpolation.viewer.packing import Blocks, block_name
 from omnisyn_cli.io.outputs import write_parts
 
-MAX_PAGE_BYTES = 32 * 2**20
-"""Of one file: what phones open without running out of memory."""
-
+MAX_PAGE_BYTES = 32 * 2**20  # of one file: what phones open without running out of memory
+# Files of ``web`` that make up the module, in the order in which they need each other.
 SCRIPTS = (
     "vectors", "blocks", "shaders", "surface", "renderer", "world", "walker", "controls", "fade", "headset", "map",
     "hotspots", "walk",
 )  # fmt: skip
-"""Files of ``web`` that make up the module, in the order in which they need each other."""
-
+# Files of a folder besides its blocks.
 INDEX_NAME, MODULE_NAME, MANIFEST_NAME = "index.html", "omnisyn-walk.js", "walk.json"
-"""Files of a folder besides its blocks."""
-
-NAMED_BLOCK = re.compile(r'(?<=")\d{4,}\.bin(?=")')
-"""Names of blocks in the text of a manifest."""
-
+NAMED_BLOCK = re.compile(r'(?<=")\d{4,}\.bin(?=")')  # names of blocks in the text of a manifest
+# What a folder's page shows where it cannot load its program.
 NEEDS_A_SERVER = "<p>Browsers read the files of this walk from a web server only, such as omnisyn view --serve.</p>\n"
-"""What a folder's page shows where it cannot load its program."""
 
 
 def write_page(path: Path, manifest: dict[str, Any], contents: Sequence[bytes]) -> int:

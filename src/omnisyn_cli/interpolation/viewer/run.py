@@ -22,20 +22,14 @@ from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept, former_files, replaced_folder
 from omnisyn_cli.types import DepthEstimator
 
+# Of each pixel of a photograph in a page; everything is there twice, packed and as the text of the page.
 JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
-"""Of each pixel of a photograph in a page; everything is there twice, packed and as the text of the page."""
-
+# Of each vertex of a surface, likewise, of both neighbours' pairs; and as it is stored.
 MAP_VERTEX_BYTES, STORED_VERTEX_BYTES = 4.0, 1.4
-"""Of each vertex of a surface, likewise, of both neighbours' pairs; and as it is stored."""
-
+# Of graphics memory: pixels of a texture with its mip levels, bytes of a vertex and of a pixel of the picture.
 MIP_SHARE, GRAPHICS_VERTEX_BYTES, PICTURE_PIXEL_BYTES = 4 / 3, 18, 26
-"""Of graphics memory: pixels of a texture with its mip levels, bytes of a vertex and of a pixel of the picture."""
-
-GRAPHICS_BUDGET_BYTES = 256 << 20
-"""Of panoramas and surfaces, see ``web/world.js``; a link takes what it needs."""
-
-SCREEN_PIXELS, BASE64_RATIO = 1920 * 1080, 4 / 3
-"""Of the screen; characters for a byte."""
+GRAPHICS_BUDGET_BYTES = 256 << 20  # of panoramas and surfaces, see ``web/world.js``; a link takes what it needs
+SCREEN_PIXELS, BASE64_RATIO = 1920 * 1080, 4 / 3  # of the screen; characters for a byte
 
 
 @dataclass(frozen=True)

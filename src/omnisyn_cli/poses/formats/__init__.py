@@ -30,8 +30,8 @@ from omnisyn_cli.poses.formats.trajectories import (
     read_tum,
 )
 
+# Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it.
 MIN_MEAN_UP_LENGTH = 1e-3
-"""Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it."""
 
 
 @dataclass(frozen=True)

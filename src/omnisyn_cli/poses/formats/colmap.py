@@ -25,11 +25,10 @@ from omnisyn_cli.io.documents import listed
 from omnisyn_cli.poses.formats.colmap_model import HEADER, IMAGES, Model, read_model
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, find_view, foreign_from_pose, noted
 
+# Sine of the angle by which the faces of a panorama may roll: they are cut without any, and written exactly.
 MAX_LEVEL_ERROR = 1e-3
-"""Sine of the angle by which the faces of a panorama may roll: they are cut without any, and written exactly."""
-
+# Second singular value of the faces' x axes, for one face; less, and they do not tell which way is up.
 MIN_AXES_SPREAD = 0.1
-"""Second singular value of the faces' x axes, for one face; less, and they do not tell which way is up."""
 
 
 def read_colmap(source: Path, options: ImportOptions) -> ImportedPoses:

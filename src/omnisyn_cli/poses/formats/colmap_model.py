@@ -23,21 +23,19 @@ IMAGES = "images.txt"
 
 BINARY_IMAGES = "images.bin"
 
+# Files of a model; any of them stands for it.
 MODEL_FILES = frozenset(
     {f"{name}.{ending}" for name in ("cameras", "images", "rigs", "frames") for ending in ("txt", "bin")}
 )
-"""Files of a model; any of them stands for it."""
-
+# COLMAP's panoramas and SphereSfM's, which see a direction at the same pixel.
 EQUIRECTANGULAR, SPHERE = "EQUIRECTANGULAR", "SPHERE"
-"""COLMAP's panoramas and SphereSfM's, which see a direction at the same pixel."""
 
 HEADER = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
 
+# Numbers that a binary camera has, by the number of its model in COLMAP 4.
 PARAMETER_COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)
-"""Numbers that a binary camera has, by the number of its model in COLMAP 4."""
-
+# The latter is a fisheye in COLMAP, whose releases with that model write rigs; SphereSfM writes none.
 EQUIRECTANGULAR_ID, SPHERE_ID = 17, 11
-"""The latter is a fisheye in COLMAP, whose releases with that model write rigs; SphereSfM writes none."""
 
 SPHERE_PARAMETER_COUNT = 3
 

@@ -23,21 +23,20 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.file import stored_file
 
+# ``camera_from_ours``: opengl x right, y up, −z forward (ours); opencv x right, y down, z forward; flu x forward, y
+# left, z up (ROS bodies).
 CAMERA_AXES = {
     "opengl": np.eye(3),
     "opencv": np.diag([1.0, -1.0, -1.0]),
     "flu": np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
 }
-"""``camera_from_ours``: opengl x right, y up, −z forward (ours); opencv x right, y down, z forward; flu x forward,
-y left, z up (ROS bodies)."""
-
+# ``ours_from_world`` by the world's axis that points up; x stays x. With z up, y (north) becomes −z.
 WORLD_UP = {
     "y": np.eye(3),
     "-y": np.diag([1.0, -1.0, -1.0]),
     "z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "-z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
-"""``ours_from_world`` by the world's axis that points up; x stays x. With z up, y (north) becomes −z."""
 
 Origin = tuple[float, float, float]
 """WGS84 latitude and longitude in degrees, altitude in metres."""
@@ -98,11 +97,11 @@ IMAGE_SUFFIXES = frozenset(
     {".avif", ".exr", ".hdr", ".heic", ".heif", ".jpeg", ".jpg", ".jxl", ".mpo", ".png", ".tif", ".tiff", ".webp"}
 )
 
+# What NumPy raises for broken headers, sizes beyond all memory and archives.
 NUMPY_LOAD_ERRORS = (
     ValueError, EOFError, SyntaxError, TokenError, BadZipFile, RecursionError, MemoryError, TypeError,
     OverflowError,
 )  # fmt: skip
-"""What NumPy raises for broken headers, sizes beyond all memory and archives."""
 
 
 def data_lines(path: Path) -> Iterator[tuple[int, str]]:

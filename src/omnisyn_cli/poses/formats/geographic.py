@@ -28,11 +28,10 @@ if TYPE_CHECKING:
 
 Rotations = dict[str, Float[np.ndarray, "3 3"]]
 
+# Metres between the two points that give a plumb line; any length serves, a long one keeps more digits.
 PLUMB_LINE_LENGTH = 1e6
-"""Metres between the two points that give a plumb line; any length serves, a long one keeps more digits."""
-
+# Largest absolute values of the fields of :class:`Place`, in their units.
 PLACE_LIMITS = {"latitude": 90.0, "longitude": 180.0, "heading": 360.0, "pitch": 90.0, "roll": 180.0, "altitude": 1e6}
-"""Largest absolute values of the fields of :class:`Place`, in their units."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_
 ELLIPSOID_ALTITUDE_REFS = (2, 3)  # Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)
 POSE_TAGS = ("Heading", "Pitch", "Roll")  # GPano's, between ``Pose`` and ``Degrees``
 
+# What a column may be called, in small letters; the first name that occurs wins.
 COLUMNS = {
     "image": ("image", "file", "filename", "file_name", "name", "path", "pano_id", "panoid", "id"),
     "latitude": ("latitude", "lat"),
@@ -40,7 +41,6 @@ COLUMNS = {
     "pitch": ("pitch",),
     "roll": ("roll",),
 }
-"""What a column may be called, in small letters; the first name that occurs wins."""
 
 REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
 

@@ -38,8 +38,8 @@ from omnisyn_cli.poses.formats.files import (
     read_array,
 )
 
+# How :func:`tum_text` keeps names, which the format has no place for: ``# image TIMESTAMP NAME``.
 NAME_COMMENT = "# image "
-"""How :func:`tum_text` keeps names, which the format has no place for: ``# image TIMESTAMP NAME``."""
 
 
 def read_tum(source: Path, options: ImportOptions) -> ImportedPoses:

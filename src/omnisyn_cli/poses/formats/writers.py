@@ -20,8 +20,8 @@ from omnisyn_cli.poses.formats.trajectories import tum_text
 
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
 
+# Prefix and address of Google's tags. Source: Google, "Photo Sphere XMP Metadata".
 GPANO = ("GPano", "http://ns.google.com/photos/1.0/panorama/")
-"""Prefix and address of Google's tags. Source: Google, "Photo Sphere XMP Metadata"."""
 
 
 def export_poses(

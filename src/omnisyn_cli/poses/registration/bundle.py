@@ -26,8 +26,8 @@ MAX_ITERATIONS = 40
 
 MIN_STEP = 2e-5  # Radians, or shares of a baseline: smaller steps end the search
 
+# Pixels of a residual that quarter the weight of a match, at first and in the end, and their factor in between.
 FIRST_SPREAD, LAST_SPREAD, SPREAD_SHRINKAGE = 8.0, 1.0, 0.7
-"""Pixels of a residual that quarter the weight of a match, at first and in the end, and their factor in between."""
 
 
 @dataclass(frozen=True)

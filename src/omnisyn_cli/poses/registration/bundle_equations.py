@@ -18,8 +18,8 @@ from omnisyn_cli.poses.registration.pose_graph import Edge
 
 MAX_OBSERVATIONS = 100_000  # Which bounds time and memory: points that more pairs share are kept first
 
+# Pixels of residual that a doubled length counts as: one that is given stays, the former one only if nothing tells.
 GIVEN_LENGTH_PIXELS, FORMER_LENGTH_PIXELS = 1e4, 0.1
-"""Pixels of residual that a doubled length counts as: one that is given stays, the former one only if nothing tells."""
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,10 @@ from omnisyn_cli.geometry.pose import (
     rotation_vector_from_rotation,
 )
 
+# Stages in which corrections are applied: numbers, then transforms, then axes, then the pair.
 NUMBER_STAGE, TRANSFORM_STAGE, AXES_STAGE, PAIR_STAGE = range(4)
-"""Stages in which corrections are applied: numbers, then transforms, then axes, then the pair."""
-
+# This program's camera axes in those of OpenCV (x right, y down, z forward), and back.
 OPENCV_AXES = np.diag([1.0, -1.0, -1.0])
-"""This program's camera axes in those of OpenCV (x right, y down, z forward), and back."""
 
 Z_UP_AXES, HALF_TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), np.diag([-1.0, 1.0, -1.0])
 
@@ -37,8 +36,8 @@ SIGNED_PERMUTATIONS = [
     for signs in product((1.0, -1.0), repeat=3)
 ]
 
+# Full turns (2π) in 180 radians, rounded up: what an angle in degrees loses when it is read as radians.
 MAX_LOST_TURNS = 29
-"""Full turns (2π) in 180 radians, rounded up: what an angle in degrees loses when it is read as radians."""
 
 MIN_ANGLE = 1e-9  # Radians; smaller rotations have no axis
 

@@ -28,20 +28,18 @@ taken from one place, only rotations can be judged; ``unknown``: too few matches
 
 FIT_LIMITS = (math.radians(0.5), math.radians(2.0))  # Errors of rotation and direction up to which poses fit
 
+# Errors that are taken for inaccuracy rather than for a mistake in convention: wrong axes are off by far more.
 CLOSE_LIMITS = (math.radians(15.0), math.radians(20.0))
-"""Errors that are taken for inaccuracy rather than for a mistake in convention: wrong axes are off by far more."""
-
+# Errors that poses may keep once a convention is corrected; given poses are rarely more exact.
 EXPLANATION_LIMITS = (math.radians(3.0), math.radians(5.0))
-"""Errors that poses may keep once a convention is corrected; given poses are rarely more exact."""
-
+# The same where thousands of corrections are tried, of which one may come close by chance.
 DEGREES_EXPLANATION_LIMITS = (math.radians(1.0), math.radians(1.0))
-"""The same where thousands of corrections are tried, of which one may come close by chance."""
 
 MIN_IMPROVEMENT = 3.0  # Factor by which a correction has to reduce the larger error of the poses as given
 TIE_ANGLE = math.radians(1.0)  # Corrections whose errors differ by less cannot be told apart by one pair
 
+# Decrease of χ² that is worth a change: χ² of five degrees of freedom stays below it in 9,999 cases of 10,000.
 MIN_CHI_SQUARED_GAIN = 25.0
-"""Decrease of χ² that is worth a change: χ² of five degrees of freedom stays below it in 9,999 cases of 10,000."""
 
 PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)  # Metres above the floor: from a tripod on the ground to the roof of a car
 EXPECTED_CAMERA_HEIGHT = 1.5  # Metres above the floor, of a camera on a tripod or in a raised hand

@@ -33,33 +33,31 @@ from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, pixel_scale, pixel_
 
 MAX_IMAGE_ROWS = 1024  # Larger panoramas are reduced to this height: features are then found within about 0.05°
 
+# Points that are looked for in a flat image, and features of a panorama; matching takes time with its square.
 MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
-"""Points that are looked for in a flat image, and features of a panorama; matching takes time with its square."""
-
+# Latitude within which every direction lies in one of three orthogonal bands.
 BAND_LATITUDE = math.asin(1.0 / math.sqrt(3.0))
-"""Latitude within which every direction lies in one of three orthogonal bands."""
 
 BAND_MARGIN = math.radians(9.0)  # Radians around a band that descriptors may reach into
 SIFT_CONTRAST_THRESHOLD = 0.02  # OpenCV's default is 0.04; half of it still finds features in plain rooms
 LOWE_RATIO = 0.8  # The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)
 
+# Length of descriptors of whole numbers: sums of 128 products stay below 2²⁴, exact in float32 in any order.
 DESCRIPTOR_NORM = 512.0
-"""Length of descriptors of whole numbers: sums of 128 products stay below 2²⁴, exact in float32 in any order."""
-
+# ``camera_from_band``: three turns of the axes into each other.
 CAMERA_FROM_BAND = tuple(
     np.linalg.matrix_power(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), k) for k in range(3)
 )
-"""``camera_from_band``: three turns of the axes into each other."""
 
+# Rows of the picture that is searched: larger panoramas are reduced to it, smaller ones enlarged by at most this. That
+# finds a third more matches in panoramas of 1024 rows.
 FINE_ROWS, MAX_ENLARGEMENT = 1536, 1.5
-"""Rows of the picture that is searched: larger panoramas are reduced to it, smaller ones enlarged by at most this. That
-finds a third more matches in panoramas of 1024 rows."""
 
 WALL_LATITUDE = math.radians(55.0)  # Radians above and below the horizon that walls are looked for in
 SQUEEZE = 2  # Factor by which the second search narrows walls: those seen at 30° instead of 90°
 
+# Side of the bird's-eye view, and tangent of the largest angle from straight down along its sides.
 FLOOR_PIXELS, FLOOR_TANGENT = 600, math.tan(math.radians(68.0))
-"""Side of the bird's-eye view, and tangent of the largest angle from straight down along its sides."""
 
 FoundPoints = tuple[np.ndarray, ...]
 """``(n, 3)`` directions in the camera's frame, ``(n, 128)`` descriptors and ``(n,)`` responses of SIFT's points."""

@@ -89,9 +89,9 @@ MIN_STEP = 1e-8  # Radians: smaller steps end the search
 MAD_TO_STD = 1.4826  # Standard deviation of a normal distribution over its median absolute value
 MIN_NOISE = 1e-7  # Radians; no residual is weighted as if it were better than this
 
+# Side of the cells that are left out. Over 47 generated pairs the errors are 1.1 times the stated deviations in their
+# quadratic mean; with 5° it is 1.5, and if all matches err independently 4.
 JACKKNIFE_ANGLE = math.radians(20.0)
-"""Side of the cells that are left out. Over 47 generated pairs the errors are 1.1 times the stated deviations in their
-quadratic mean; with 5° it is 1.5, and if all matches err independently 4."""
 
 
 @dataclass(frozen=True)

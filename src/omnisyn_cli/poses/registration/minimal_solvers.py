@@ -16,11 +16,10 @@ CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 
 BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
 """Exponents of x, y, z: the monomials that are eliminated, and the basis of the quotient ring."""
 
+# Twenty points (x, y, z) that determine a cubic polynomial in three variables.
 SAMPLE_POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3], float) - 0.75
-"""Twenty points (x, y, z) that determine a cubic polynomial in three variables."""
-
+# Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`.
 COEFFICIENTS_FROM_VALUES = np.linalg.inv(np.prod(SAMPLE_POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
-"""Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`."""
 
 MAX_IMAGINARY_PART = 1e-6  # Imaginary part, relative to the absolute value, up to which a root counts as real
 MIN_RELATIVE_DETERMINANT = 1e-10  # Determinant, relative to the lengths of its rows, below which a sample is degenerate
@@ -90,8 +89,8 @@ def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
 
 MAX_MODULUS_ERROR = 1e-4  # Distance of a root from the unit circle up to which it counts as a turn
 
+# Radians; a trigonometric polynomial of degree 2 follows from its values there.
 TURNS = math.radians(72.0) * np.arange(5)
-"""Radians; a trigonometric polynomial of degree 2 follows from its values there."""
 
 
 def upright_essential_candidates(

@@ -18,14 +18,14 @@ from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_angle
 from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
 
+# Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then.
 MIN_PARALLAX_PIXELS = 6.0
-"""Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then."""
 
 MIN_SHARED_POINTS = 5  # Points that two pairs have to share for a ratio of their baselines
 MAX_SHARED_WEIGHT = 100  # Shared points beyond this make a ratio no more credible
 
+# Weight, in shared points, of baselines being equal: it decides only where nothing else does.
 EQUAL_LENGTH_WEIGHT = 0.01
-"""Weight, in shared points, of baselines being equal: it decides only where nothing else does."""
 
 GIVEN_LENGTH_WEIGHT = 1e4  # Weight, in shared points, of a baseline that is given
 UNTOLD_WEIGHT = 1e-4  # Factor of the weight of pairs whose baseline's length is only assumed
@@ -36,13 +36,13 @@ CONTRADICTION_ANGLE = math.radians(3.0)
 
 Right pairs are off by tenths of a degree."""
 
+# Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %.
 CONTRADICTION_RATIO = 1.25
-"""Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %."""
 
 MAX_IN_PLACE_SHARE = 0.1  # Of the median distance of pairs: farther apart, two panoramas are not in one place
 
+# Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions.
 MIN_OTHER_MATCHES = 15
-"""Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions."""
 
 Ratios = Mapping[tuple[int, int, int, int], tuple[float, int]]
 """Logarithm of the length of one pair over that of another, and how many points tell it, by their panoramas."""

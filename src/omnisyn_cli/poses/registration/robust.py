@@ -43,27 +43,24 @@ Of 200 pairs of real and ray-traced panoramas that do not see each other two are
 corners of a shop. Of 43 real pairs that do see each other 37 to 39 are.
 """
 
+# What is added where a pose contradicts the vertical edges: two directions agree within 1° once in 10,000 times.
 LOG_TESTS_WITHOUT_GRAVITY = 5.0
-"""What is added where a pose contradicts the vertical edges: two directions agree within 1° once in 10,000 times."""
-
+# Radians between the verticals of two panoramas up to which a pose agrees with them.
 MAX_VERTICAL_ERROR = math.radians(2.0)
-"""Radians between the verticals of two panoramas up to which a pose agrees with them."""
-
+# Sine of the angle between the baseline and the horizon up to which both cameras stand at one height.
 MAX_CLIMB_SINE = math.sin(math.radians(3.0))
-"""Sine of the angle between the baseline and the horizon up to which both cameras stand at one height."""
 
+# Matches that determine a pose, and how many poses they leave at most: of any two cameras, of two whose verticals are
+# known, and of two that also stand at one height.
 GENERAL_MOTION, UPRIGHT_MOTION, PLANAR_MOTION = (5, 10), (3, 4), (2, 4)
-"""Matches that determine a pose, and how many poses they leave at most: of any two cameras, of two whose verticals are
-known, and of two that also stand at one height."""
-
+# Least probability that is assumed of a wrong match to agree; fewer samples than its inverse cannot tell it.
 MIN_CHANCE = 1e-4
-"""Least probability that is assumed of a wrong match to agree; fewer samples than its inverse cannot tell it."""
 
 CHANCE_SAMPLES = 150  # Matches whose directions are paired at random, each with each, to find that probability
 
+# Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing. The
+# second angle is for the choice between poses where all matches weigh the same.
 DISTINCT_ANGLE, FINE_DISTINCT_ANGLE = math.radians(5.0), math.radians(2.0)
-"""Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing. The
-second angle is for the choice between poses where all matches weigh the same."""
 
 CROWDED_ANGLE = math.radians(10.0)
 """Side of the cells that matches are counted in; all cells weigh the same.
@@ -77,27 +74,25 @@ FORWARD_POSE = Pose(np.eye(3), FORWARD)
 
 MIN_INLIER_SHARE = 0.08  # Share of all matches that have to agree with a pose at least
 
+# Pixels (of the searched image) from its epipolar circle within which a match is an inlier.
 INLIER_THRESHOLD_PIXELS = 1.0
-"""Pixels (of the searched image) from its epipolar circle within which a match is an inlier."""
 
 SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30  # Samples that are drawn at once, and how many times at most
 
+# Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree.
 UPRIGHT_SCALE = 4.0
-"""Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree."""
 
 CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among those drawn
 HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
 REFINED_HYPOTHESES = 10  # Hypotheses that are refined
 
+# Radians of rotation or direction from which on a known pose contradicts the one that costs least. The one that is less
+# likely by chance is right: in a corridor repeated doors have many matches, but few distinct ones.
 RIVAL_ANGLE = math.radians(5.0)
-"""Radians of rotation or direction from which on a known pose contradicts the one that costs least. The one that is
-less likely by chance is right: in a corridor repeated doors have many matches, but few distinct ones."""
-
+# Share of the matches that agree with a known or an upright pose from which on no general one is looked for.
 CLEAR_SHARE = 0.6
-"""Share of the matches that agree with a known or an upright pose from which on no general one is looked for."""
-
+# Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place.
 MIN_ROTATION_ONLY_SHARE = 0.9
-"""Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place."""
 
 MAX_DIRECTION_STD = 0.2  # Radians; a baseline direction with a larger standard deviation counts as unknown
 

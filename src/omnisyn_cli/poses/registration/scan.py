@@ -43,34 +43,34 @@ from omnisyn_cli.poses.registration.robust import (
 from omnisyn_cli.stereo.dense_agreement import dense_agreement
 from omnisyn_cli.types import View
 
+# Of a camera; lines that meet farther from its own zenith are not taken for vertical ones.
 MAX_TILT = math.radians(35.0)
-"""Of a camera; lines that meet farther from its own zenith are not taken for vertical ones."""
 
+# Side of the six tangent images that lines are looked for in, over the rows of the panorama, and tangent of half their
+# angle. They overlap a little, so that no line is lost at an edge. In larger ones the columns of pixels become lines.
 FACE_SHARE, FACE_TANGENT = 0.625, 1.1
-"""Side of the six tangent images that lines are looked for in, over the rows of the panorama, and tangent of half their
-angle. They overlap a little, so that no line is lost at an edge. In larger ones the columns of pixels become lines."""
 
 MIN_LINE_ANGLE = math.radians(2.0)  # Radians that a line segment has to span
 MAX_LINES = 800  # The longest ones are searched; each is compared with every hypothesis
 HYPOTHESES = 3000  # Pairs of lines that are tried, long ones more often
 
+# Radians off the zenith within which a line speaks for it, in the search and in the end.
 VOTE_WIDTH, FIT_WIDTH = math.radians(1.5), math.radians(0.4)
-"""Radians off the zenith within which a line speaks for it, in the search and in the end."""
 
 FIT_ROUNDS = 15  # Rounds of reweighted least squares; the width shrinks by a fifth in each
 RIVAL_ANGLE = math.radians(6.0)  # Radians from the best direction beyond which another one is a rival
 
+# Votes of the strongest rival over those of the best, up to which it is certain. Of 180 generated panoramas all ten
+# that were wrong by more than 1° had 0.86 or more.
 MAX_RIVAL_SHARE = 0.8
-"""Votes of the strongest rival over those of the best, up to which it is certain. Of 180 generated panoramas all ten
-that were wrong by more than 1° had 0.86 or more."""
 
 MIN_LINES = 8  # Lines that have to agree at least
 
+# Rotations of the six tangent images, which look along −z of their own.
 CAMERA_FROM_FACE = tuple(
     rotation_taking(np.array([0.0, 0.0, -1.0]), np.array(axis, float))
     for axis in ((0, 0, -1), (0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
 )
-"""Rotations of the six tangent images, which look along −z of their own."""
 
 Lines = Float[np.ndarray, "n 3"]
 """Normals of the planes of line segments, as long as the angle in radians that the segment spans."""
@@ -160,32 +160,29 @@ def _fitted(up: np.ndarray, normal: np.ndarray, length: np.ndarray) -> tuple[Flo
     return up, noise / math.sqrt(max(float(np.linalg.eigvalsh(information)[1]), 1e-12))
 
 
+# Agreeing matches, and their share, from which on no more are looked for. With fewer a pose is often off by a degree,
+# with a smaller share it may be that of repeated things.
 ENOUGH_INLIERS, ENOUGH_SHARE = 60, 0.25
-"""Agreeing matches, and their share, from which on no more are looked for. With fewer a pose is often off by a degree,
-with a smaller share it may be that of repeated things."""
 
-
+# Share of its matches that a direction to the other side needs to be tried, and how much better pictures have to agree
+# with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`).
 MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
-"""Share of its matches that a direction to the other side needs to be tried, and how much better pictures have to agree
-with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`)."""
 
+# How unlikely such a direction has to be by chance. (In a real corridor of equal doors pictures agreed 2.8 times better
+# with a wrong direction, whose logarithm was −9.)
 MAX_RIVAL_LOG_FALSE_ALARMS = -20.0
-"""How unlikely such a direction has to be by chance. (In a real corridor of equal doors pictures agreed 2.8 times
-better with a wrong direction, whose logarithm was −9.)"""
-
+# Directions to the other side that two matches each propose, and how many of the best are counted exactly.
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
-"""Directions to the other side that two matches each propose, and how many of the best are counted exactly."""
 
 LIKENESS_FEATURES = 600  # Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take
 SMALL_ROWS = 256  # Rows of the picture in colour that floors are looked for in
 
 
+# Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they do
+# not meet if no neighbours differ more. (Of 445 panoramas none is above, of parts of them two thirds.)
 MIN_SEAM_STEP, MIN_SEAM_RATIO = 0.06, 4.0
-"""Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they
-do not meet if no neighbours differ more. (Of 445 panoramas none is above, of parts of them two thirds.)"""
-
+# Of the rows, at either pole, that the test of the seam leaves out: all their pixels are close together.
 POLAR_SHARE = 0.1
-"""Of the rows, at either pole, that the test of the seam leaves out: all their pixels are close together."""
 
 
 @dataclass(frozen=True)
