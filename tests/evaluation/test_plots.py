@@ -21,7 +21,7 @@ def test_every_diagram_is_a_picture_with_something_in_it():
 
 
 def test_lines_go_through_the_means_of_the_distances():
-    axes = plots._quality_by_distance(some_records()).axes[0]
+    axes = plots._diagrams(some_records())["ws-psnr-by-distance"].axes[0]
     lines = {line.get_label(): line.get_xydata().tolist() for line in axes.lines}
     assert lines["matching"] == [[1.0, 25.0], [2.0, 22.0]]
     assert lines["crossfade"] == [[1.0, 16.0], [2.0, 14.5]]
@@ -32,7 +32,7 @@ def test_lines_go_through_the_means_of_the_distances():
 
 def test_many_frames_are_shown_as_means_alone(monkeypatch):
     monkeypatch.setattr(plots, "MAX_POINTS", 10)
-    axes = plots._quality_by_share(some_records()).axes[0]
+    axes = plots._diagrams(some_records())["ws-psnr-by-share"].axes[0]
     assert len(axes.lines) == 3
     assert not axes.collections
 
@@ -59,14 +59,14 @@ def test_reliability_is_that_of_all_panoramas_and_right_on_the_diagonal():
 
 def test_infinite_scores_are_left_out():
     records = [unit("hall", "matching", (math.inf, 20.0)), unit("hall", "still", (math.inf,))]
-    axes = plots._quality_by_share(records).axes[0]
+    axes = plots._diagrams(records)["ws-psnr-by-share"].axes[0]
     assert {line.get_label(): line.get_xydata()[:, 1].tolist() for line in axes.lines} == {"matching": [20.0]}
     assert set(plots.report_plots([unit("hall", "still", (math.inf,))])) == {"seconds-by-stage"}
 
 
 def test_names_are_no_formulas_and_are_not_hidden():
     records = [unit("hall", "$a_b$ $", (20.0,)), unit("hall", "_private", (21.0,))]
-    legend = plots._quality_by_share(records).legends[0]
+    legend = plots._diagrams(records)["ws-psnr-by-share"].legends[0]
     assert [text.get_text() for text in legend.get_texts()] == ["\u200b_private", r"\$a_b\$ \$"]
     assert plots.report_plots(records)
 

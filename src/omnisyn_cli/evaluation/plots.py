@@ -44,7 +44,11 @@ MAX_POINTS = 2000  # frames up to which single points are drawn; more would hide
 
 def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:
     """Every diagram that there are figures for: a key of :data:`PLOT_TITLES` -> PNG file."""
-    figures = {
+    return {name: _png(figure) for name, figure in _diagrams(records).items() if figure is not None}
+
+
+def _diagrams(records: Sequence[UnitRecord]) -> dict[str, Figure | None]:
+    return {
         "ws-psnr-by-distance": _quality_by(
             records, lambda f: (f.distance, distance_band(f.distance)[0]), "Distance from the nearer panorama, m"
         ),
@@ -53,7 +57,6 @@ def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:
         "seconds-by-stage": _seconds_by_stage(records),
         "reliability": _reliability(records),
     }
-    return {name: _png(figure) for name, figure in figures.items() if figure is not None}
 
 
 def _quality_by(
