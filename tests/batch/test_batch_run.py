@@ -94,18 +94,21 @@ def test_records_tell_nothing_about_the_machine(tmp_path):
     lines = [
         line(0, 1, masks=["mask.png", "../mask.png"], view="walk.html", save_depth="depth"),
         line(1, 0, model="own.onnx", depth="network"),
+        line(1, 0, depth_prior="own.onnx", depth="refined") | {"id": "prior", "output": "prior"},
     ]
-    assert len(batch(folder, *lines).failed) == 1
+    assert len(batch(folder, *lines).failed) == 2
     text = (folder / "out" / "results.jsonl").read_text()
     assert str(tmp_path) not in text
     assert platform.node() + ":" not in text
-    done, failed = sorted(records(folder / "out"), key=lambda record: record["id"])
+    done, failed, prior = sorted(records(folder / "out"), key=lambda record: record["id"])
     assert done["sources"]["inputs"] == ["p0.png", "p1.png"]
     assert {"p0.png", "mask.png", "../mask.png"} <= set(done["sources"]["files"])
     assert failed["sources"]["options"]["model"] == "own.onnx"
+    assert prior["sources"]["options"]["depth_prior"] == "own.onnx"
+    assert "own.onnx" in prior["sources"]["files"]
     assert failed["worker"] == str(os.getpid())
     folder.rename(moved)
-    assert (len(batch(moved, *lines).kept), len(records(moved / "out"))) == (1, 2)
+    assert (len(batch(moved, *lines).kept), len(records(moved / "out"))) == (1, 3)
     batch(moved, lines[1], record_host=True, retry_failed=True)
     assert records(moved / "out")[-1]["worker"] == f"{platform.node()}:{os.getpid()}"
 

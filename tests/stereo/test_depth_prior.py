@@ -181,6 +181,19 @@ def test_a_prior_that_matches_contradict_is_not_used(views: tuple[View, View], m
         np.testing.assert_array_equal(each.matched, plain.matched)
 
 
+def test_a_prior_that_nothing_came_of_costs_no_second_matching(views, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever asked for it; one that is used does."""
+    match, asked = matching_estimator.match_all_disparities, []
+    monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
+    monkeypatch.setattr(matching_estimator, "POORLY_MATCHED_SHARE", 0.0)
+    monkeypatch.setattr(matching_estimator, "match_all_disparities", lambda *each: asked.append(1) or match(*each))
+    counts = []
+    for prior in (lambda pair, *_: pair, partial(with_guided_priors, model=KnowsTheRoom())):
+        MatchingDepthEstimator(MatchingOptions(size=(64, 128)), prior=prior).features(*views)
+        counts.append(len(asked))
+    assert counts == [2, 6]
+
+
 def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(views, monkeypatch) -> None:
     """That saves time and changes nothing."""
     label, counts, found = matching_estimator.label_surfaces, [], []

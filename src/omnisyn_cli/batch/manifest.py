@@ -29,6 +29,7 @@ from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
 RECORDS = "results.jsonl"  # file in the folder of a batch that says what became of every job
 MIN_EVEN_SIZE = (2, 4)  # rows and columns that every encoder takes
+NETWORK_OPTIONS = ("model", "depth_prior")  # options that may be paths of networks, from the folder of the manifest
 
 
 @dataclass(frozen=True)
@@ -140,8 +141,9 @@ class _Reader:
         _check_together(options, is_found=pose_file is None)
         if "masks" in options:
             options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]
-        if (model := options.get("model")) is not None and self._exists(self._folder / model):
-            options["model"] = str(self._place(self._folder / model))
+        for key in NETWORK_OPTIONS:
+            if (network := options.get(key)) is not None and self._exists(self._folder / network):
+                options[key] = str(self._place(self._folder / network))
         outputs = {kind: place for kind in OUTPUTS if (place := getattr(line, kind)) is not None}
         outputs.setdefault("output", f"{line.id}.mp4")
         return BatchJob(line.id, images, poses, outputs, options, line.group, self._folder)

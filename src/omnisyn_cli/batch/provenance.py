@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from omnisyn_cli.batch.manifest import BatchJob
+from omnisyn_cli.batch.manifest import NETWORK_OPTIONS, BatchJob
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.configs import video_config
@@ -77,8 +77,9 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     options = dict(job.options)
     if job.masks:
         options["masks"] = [relative_name(mask, job.folder) for mask in job.masks]
-    if Path(model := options.get("model", "")).is_absolute():
-        options["model"] = relative_name(Path(model), job.folder)
+    for key in NETWORK_OPTIONS:
+        if Path(network := options.get(key, "")).is_absolute():
+            options[key] = relative_name(Path(network), job.folder)
     settings = {
         "inputs": [relative_name(image, job.folder) for image in job.images],
         "outputs": job.outputs,

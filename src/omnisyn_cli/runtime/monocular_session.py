@@ -17,8 +17,8 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import sha256_of
 from omnisyn_cli.runtime.session import run_network
 
-# What the numbers of a network may be; points are their distance from the camera.
-READING_WORDS = ("depth", "inverse-depth", "log-depth", "points")
+MAP_READINGS = ("depth", "inverse-depth", "log-depth")  # what the numbers of a map may be
+READING_WORDS = (*MAP_READINGS, "points")  # those of a network; points are their distance from the camera
 # What users may say of a network that its file does not.
 KIND_WORDS = ("panorama", "perspective", *READING_WORDS, "imagenet")
 # Height and width of pictures where a network takes any: networks divide them by 14, 16 or 32.
@@ -105,7 +105,7 @@ class MonocularSession:
         numbers, is_points = answer[..., 0], answer.shape[-1] == 3
         if is_points:
             return np.linalg.norm(answer, axis=-1), ("depth",), True
-        return numbers, READING_WORDS[:3] if self._kind.reading is None else (self._kind.reading,), False
+        return numbers, MAP_READINGS if self._kind.reading is None else (self._kind.reading,), False
 
     def _asked(self, picture: np.ndarray) -> Float32[np.ndarray, "rows cols channels"]:
         """A map, or three with the coordinates of points."""

@@ -44,6 +44,9 @@ CORRECTION_SCALES = (1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
 COARSER_WEIGHT = 0.02  # weight of the coarser correction, against 1 for matches everywhere around
 # Of the logarithm of inverse depth: a proposal that near to what is expected is preferred to it.
 MAX_LOG_DIFFERENCE = 0.15
+# Of the logarithm of inverse depth, between a prior and consistent matches: from there on the prior is not used. (Six
+# pairs of real tours have 0.6 to 1.2 and lose up to 3.1 dB by the prior; of 25 generated ones the most is 0.44.)
+MAX_MEDIAN_DISAGREEMENT = 0.5
 MIN_INVERSE_DEPTH = 1e-4  # in 1/baselines: all that is farther counts as that far
 
 
@@ -70,14 +73,19 @@ PairPrior = Callable[[RectifiedPair, View, View, Matches], RectifiedPair]
 def with_guided_priors(
     pair: RectifiedPair, first: View, second: View, matches: Matches | None = None, *, model: PriorModel
 ) -> RectifiedPair:
-    """The pair with what the network expects of both panoramas; it sees one after the other, and no matches.
+    """The pair with what the network expects of both panoramas; as it is where matches, if there are any, contradict.
+
+    The network sees one after the other.
 
     It is asked in one order of the two, whichever is the first one: exchanged panoramas get the same answers.
     """
     if pair.is_canonical_order:
-        return replace(pair, priors=_priors(pair, first, second, model))
-    of_second, of_first = _priors(pair.reversed(), second, first, model)
-    return replace(pair, priors=(of_first, of_second))
+        priors = _priors(pair, first, second, model)
+    else:
+        priors = _priors(pair.reversed(), second, first, model)[::-1]
+    expecting = replace(pair, priors=priors)
+    is_contradicted = matches is not None and median_disagreement(expecting, matches) >= MAX_MEDIAN_DISAGREEMENT
+    return pair if is_contradicted else expecting
 
 
 def median_disagreement(pair: RectifiedPair, matches: Matches) -> float:

@@ -24,7 +24,7 @@ from omnisyn_cli.stereo.disparity import (
     match_all_disparities,
 )
 from omnisyn_cli.stereo.epipolar_grid import MAX_INVERSE_DEPTH
-from omnisyn_cli.stereo.expected_depth import PairPrior, median_disagreement
+from omnisyn_cli.stereo.expected_depth import PairPrior
 from omnisyn_cli.stereo.expected_planes import expected_planes
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
@@ -50,9 +50,6 @@ STEEP_SINE, NARROW_MATCHED_SHARE = 0.26, 0.6
 # the mean; two with more lost 0.4.)
 WELL_MATCHED_SHARE = 0.8
 
-# Of the logarithm of inverse depth, between a prior and consistent matches: from there on the prior is not used. (Six
-# pairs of real tours have 0.6 to 1.2 and lose up to 3.1 dB by the prior; of 25 generated ones the most is 0.44.)
-MAX_MEDIAN_DISAGREEMENT = 0.5
 
 # Share of the sphere with consistent matches below which planes cannot make up for the rest, and the network is asked
 # before any are looked for. (Of 95 pairs, the least share of one that was well matched in the end was 0.474.)
@@ -99,10 +96,8 @@ class MatchingDepthEstimator:
             else:
                 surfaces = _match_surfaces(pair, options, least_share=POORLY_MATCHED_SHARE)
                 if _measured_share(pair, surfaces) < WELL_MATCHED_SHARE:
-                    expecting = self.prior(pair, first, second, surfaces)
-                    if median_disagreement(expecting, surfaces) < MAX_MEDIAN_DISAGREEMENT:
-                        pair = expecting
-                    if pair is expecting or _measured_share(pair, surfaces) < POORLY_MATCHED_SHARE:
+                    pair = self.prior(pair, first, second, surfaces)
+                    if pair.priors is not None or _measured_share(pair, surfaces) < POORLY_MATCHED_SHARE:
                         surfaces = _match_surfaces(pair, options)
             reverse = pair.reversed()
             return both(

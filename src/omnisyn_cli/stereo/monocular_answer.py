@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.geometry.perspective import PerspectiveSize, cell_directions
+from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import rotated_image, sample_bilinear
 from omnisyn_cli.types import View
@@ -130,11 +131,8 @@ def picture_rotations() -> Float[np.ndarray, "pictures 3 3"]:
     """World from picture of all pictures of a panorama: upright, they look along −z and have +y up."""
     found = []
     for elevation, count in ELEVATIONS:
-        sin_e, cos_e = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
-        pitch = np.array([[1.0, 0.0, 0.0], [0.0, cos_e, -sin_e], [0.0, sin_e, cos_e]])
-        for turn in 2.0 * np.pi * np.arange(count) / count:
-            yaw = np.array([[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]])
-            found.append(yaw @ pitch)
+        headings = 2.0 * np.pi * np.arange(count) / count
+        found += [rotation_from_heading(heading, math.radians(elevation)) for heading in headings]
     return np.stack(found)
 
 

@@ -58,9 +58,8 @@ class Alignment(NamedTuple):
 
     def log_inverse_depth(self, samples: Samples) -> Float[np.ndarray, "rows cols"]:
         """The mean of the pictures."""
-        shape = (-1, *(1,) * (samples.values.ndim - 1))
         factor, addend = _along_rays(self.reading, samples)
-        numbers = factor * (self.scale.reshape(shape) * samples.values + self.shift.reshape(shape)) + addend
+        numbers = factor * (self.scale[:, None, None] * samples.values + self.shift[:, None, None]) + addend
         total = (samples.weight * self.reading.to_log(numbers)).sum(0)
         return np.asarray(total / samples.weight.sum(0))
 

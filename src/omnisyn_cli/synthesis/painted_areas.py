@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.synthesis.nadir_map import GROUND_HEIGHTS, NadirMap, ground_pixels, look_up
+from omnisyn_cli.synthesis.nadir_map import GROUND_HEIGHTS, NadirMap, ground_pixels, look_up, morphed
 from omnisyn_cli.types import View
 
 MAX_ROWS = 1024  # rows of a picture that are looked at. Set by hand, as are all constants of this file.
@@ -162,6 +162,5 @@ def _overlap(first: np.ndarray, second: np.ndarray) -> float:
 def _morphed(mask: Mask, operation: int, reach: int) -> Mask:
     """Opened, or with a border, across the seam too."""
     margin = 2 * reach + 1
-    around = np.pad(mask.astype(np.uint8), ((0, 0), (margin, margin)), mode="wrap")
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (margin, margin))
-    return np.asarray(cv2.morphologyEx(around, operation, disc)[:, margin:-margin] > 0)
+    around = np.pad(mask, ((0, 0), (margin, margin)), mode="wrap")
+    return morphed(around, operation, reach)[:, margin:-margin]
