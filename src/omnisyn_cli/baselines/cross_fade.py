@@ -81,10 +81,7 @@ class _FlowPair(_CrossFadePair):
 
 
 class CrossFadeMethod:
-    """Both panoramas, turned, averaged by time; a :class:`~omnisyn_cli.synthesis.methods.Method`.
-
-    Of the options only the size of the frames and threads are looked at.
-    """
+    """A :class:`~omnisyn_cli.synthesis.methods.Method`: both panoramas, turned, averaged by time."""
 
     pair_type: type[_CrossFadePair] = _CrossFadePair
 
@@ -99,9 +96,8 @@ class CrossFadeMethod:
 class FlowMethod(CrossFadeMethod):
     """Both panoramas, turned, moved along the optical flow between them and averaged by time.
 
-    The flow of the second picture towards the first, times t, says where a pixel of the frame comes from in the first;
-    the flow of the first towards the second, times 1 − t, where it comes from in the second. It is found again only
-    where the orientation changes.
+    Flow from second to first times t says where a pixel comes from in the first, and the other way round times 1 − t in
+    the second. It is found again only where the orientation changes.
     """
 
     pair_type = _FlowPair
@@ -112,10 +108,8 @@ def optical_flow(
 ) -> Float32[np.ndarray, "height width 2"]:
     """Rows and columns by which every pixel of an equirectangular picture moves to where it is in another.
 
-    The pictures are continued over the seam and the poles before flow is looked for, so that neither is a border.
-    Pictures of fewer than 32 rows are too small for it: their flow is 0.
-
-    Source: Kroeger et al., Fast optical flow using dense inverse search, 2016, as in OpenCV.
+    Pictures are continued over the seam and the poles first; below 32 rows the flow is 0. Source: Kroeger et al., Fast
+    optical flow using dense inverse search, 2016, as in OpenCV.
     """
     height, width = first.shape[:2]
     if height < MIN_FLOW_ROWS:

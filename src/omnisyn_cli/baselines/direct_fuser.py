@@ -36,10 +36,7 @@ class DirectFusionNetwork(Protocol):
 
 
 class DirectFuser(GeometricFuser):
-    """Predicts frames; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
-
-    Below :data:`SIZE_MULTIPLE` rows the fusion is geometric.
-    """
+    """A :class:`omnisyn_cli.types.Fuser` that predicts frames; geometric below :data:`SIZE_MULTIPLE` rows."""
 
     def __init__(self, size: tuple[int, int], network: DirectFusionNetwork, threads: int | None = None) -> None:
         super().__init__(size, threads=threads)
@@ -52,10 +49,7 @@ class DirectFuser(GeometricFuser):
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
-        """The predicted picture in [0, 1]; see :class:`omnisyn_cli.types.Fuser`.
-
-        Raises InputError: the network does not take the channels, or answers something else.
-        """
+        """The predicted picture in [0, 1]; InputError: the network does not take channels or answers otherwise."""
         if self._small is None or have_same_position(first, second):
             return super().__call__(first, second, t, out, confidence)
         layers = downsampled_pair(self._with_confidence(first, second, confidence), self._small, self.tiles)

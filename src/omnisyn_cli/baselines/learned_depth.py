@@ -20,12 +20,9 @@ FORWARD_DIRECTION = np.array([0.0, 0.0, -1.0])  # from the first camera to the s
 class LearnedDepthEstimator:
     """Inverse depth of both panoramas by a network; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
-    Estimates have as many rows as the network's images, and twice as many columns, whatever the size of the panoramas.
-    Panoramas from one position have no parallax: everything is then 0 with confidence 0.
-
-    The session (:func:`omnisyn_cli.runtime.session.open_session`) is of a depth model whose metadata ``frame`` is
-    ``forward``: it wants panoramas held as :func:`omnisyn_cli.geometry.sweep.forward_frame` does.
-    InputError: it is of another kind.
+    Estimates have as many rows as the network's images, twice as many columns; without parallax 0 with confidence 0.
+    The ``session`` wants panoramas held as :func:`omnisyn_cli.geometry.sweep.forward_frame` does, as its metadata
+    ``frame`` says (``forward``). InputError: it is of another kind.
     """
 
     def __init__(self, session: Any) -> None:

@@ -74,10 +74,7 @@ def disc_columns(point, cos_radius, sp, cp, width):
 
 @kernel()
 def list_points(points, order, radius, sin_p, cos_p, found, begin, end):
-    """The first points in ``order`` whose discs cover each pixel of target rows ``begin`` to ``end``.
-
-    ``found`` gets as many indices as its last axis holds, :data:`NO_POINT` after the last.
-    """
+    """Indices of the first points in ``order`` over each pixel of target rows; :data:`NO_POINT` after the last."""
     height, width, most = found.shape
     found[begin:end] = NO_POINT
     count = np.zeros((end - begin, width), np.int32)

@@ -54,10 +54,7 @@ def disc_angle(radius: float, rows: int) -> float:
 
 
 def even_points(height: int, width: int) -> Bool[np.ndarray, "height width"]:
-    """Pixels of a panorama that are points: of a row its share of the equator's length, evenly spread.
-
-    Every row begins elsewhere between two points, so that no column goes without.
-    """
+    """Pixels that are points: a row's share of the equator, evenly spread, begun elsewhere in every row."""
     share = direction_tables(height, width)[0][:, None]
     begin, column = GOLDEN_RATIO * np.arange(height)[:, None] % 1.0, np.arange(width)
     return np.asarray(np.floor(begin + (column + 1) * share) > np.floor(begin + column * share))
@@ -68,10 +65,10 @@ def list_visible(
     size: tuple[int, int], masks: Sequence[Bool[np.ndarray, "height width"] | None] | None = None, *,
     radius: float = POINT_RADIUS_ROWS, most: int = POINTS_PER_PIXEL, threads: int | None = None,
 ) -> PointLists:  # fmt: skip
-    """The nearest points that cover each pixel of a target of ``size = (rows, cols)``.
+    """The nearest points that cover each pixel of a target of ``size = (rows, cols)``, whatever ``threads``.
 
-    Points count on from panorama to panorama. Of equally near ones the one with the smaller index comes first; a point
-    at the target's centre is nowhere. The result does not depend on ``threads``.
+    Points count on from panorama to panorama, the smaller index first of equally near ones; none at the target's
+    centre.
     """
     projected: list[np.ndarray] = []
     masks = masks or [None] * len(inverse_depths)

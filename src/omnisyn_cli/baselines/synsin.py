@@ -42,10 +42,8 @@ def upright_image(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "hei
 class MonocularDepthEstimator:
     """Inverse depth of each panorama by itself; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
-    It knows metres from what it was trained on, whatever the distance of the two panoramas, and says nothing about how
-    far it can be trusted: its confidence is 1 wherever a panorama may be used.
-
-    The session (:func:`omnisyn_cli.runtime.session.open_session`) is of a monocular depth model. InputError: it is not.
+    It knows metres from what it was trained on, and not how far it can be trusted: its confidence is 1 wherever a
+    panorama may be used. InputError: the session is of no monocular depth model.
     """
 
     def __init__(self, session: Any) -> None:
@@ -76,8 +74,7 @@ class MonocularDepthEstimator:
 class SynSinSessions:
     """The three networks together, as sessions: depth, features of a panorama, a picture of blended features.
 
-    The decoder's metadata say how wide points are, in rows, and how many a pixel is made of.
-    InputError: one is of another kind, or they do not belong together.
+    The decoder says how wide points are, in rows, and how many make a pixel. InputError: they do not belong together.
     """
 
     def __init__(self, depth: Any, encoder: Any, decoder: Any) -> None:
@@ -127,10 +124,9 @@ def _channels_last(planes: np.ndarray) -> np.ndarray:
 
 
 class SynSin:
-    """Frames from the points of one or two panoramas; a :class:`~omnisyn_cli.synthesis.methods.Method`.
+    """A :class:`~omnisyn_cli.synthesis.methods.Method`: frames from the points of one or two panoramas.
 
-    A frame is made of the nearer panorama (one of ``sources``) or of both (two). Of the options only the size of the
-    frames and threads are looked at.
+    The nearer one or both (``sources``). Of the options only the size of the frames and threads are looked at.
     """
 
     def __init__(
@@ -166,10 +162,7 @@ class SynSin:
 
 
 class SynSinPair:
-    """Frames between two panoramas; a :class:`~omnisyn_cli.synthesis.methods.Pair`.
-
-    Frames have no depth: what a network paints lies nowhere.
-    """
+    """A :class:`~omnisyn_cli.synthesis.methods.Pair` whose frames have no depth: what is painted lies nowhere."""
 
     def __init__(self, method: SynSin, index: int, views: tuple[View, View]) -> None:
         self._method, self._index, self._views = method, index, views

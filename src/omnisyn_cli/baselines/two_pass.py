@@ -32,10 +32,7 @@ from omnisyn_cli.types import Layer
 def rasterize_two_pass(
     triangles: Triangles, target_from_source: Pose, size: tuple[int, int], threads: int | None = None
 ) -> Fragments:
-    """The same contract as :func:`omnisyn_cli.render.rasterize.rasterize`, as far as flat triangles can keep it.
-
-    ``size`` is that of the target; its width is even. The result does not depend on ``threads``.
-    """
+    """:func:`omnisyn_cli.render.rasterize.rasterize`, as far as flat triangles keep its contract; even widths only."""
     rotation, translation = np.ascontiguousarray(target_from_source.rotation), np.asarray(target_from_source.position)
     corners = np.empty((*triangles.inverse_depth.shape, 3))
     fragments = Fragments(np.full(size, -1.0, np.float32), np.full(size, NO_FACE, np.int32))

@@ -24,10 +24,7 @@ def flatten_triangles(direction, rho, rotation, t, scale, corners, begin, end):
 
 @kernel()
 def draw_flat_triangles(numbers, corners, turn, out_rho, out_face, begin, end):
-    """Triangles in the plane of an image turned by ``turn`` columns, in rows ``begin`` to ``end``.
-
-    Those wider than half the image cross its seam and are left out; so are those seen from behind.
-    """
+    """Draw in an image turned by ``turn`` columns; none from behind, or wider than half of it (across its seam)."""
     width = out_rho.shape[1]
     for face in range(corners.shape[0]):
         r0, r1, r2 = corners[face, 0, 0], corners[face, 1, 0], corners[face, 2, 0]

@@ -95,13 +95,11 @@ class BatchReport:
 def run_batch(
     manifest: Manifest, folder: Path, options: BatchOptions, on_progress: Callable[[Progress], None] | None = None
 ) -> BatchReport:
-    """Do what is missing or has changed, and nothing else.
+    """Do what is missing or has changed, and nothing else; ``on_progress`` is called first and after each job.
 
-    Outputs and ``results.jsonl`` go into ``folder``, which is made if its parent exists. ``on_progress`` is called at
-    the beginning and after each job.
-
-    InputError: the manifest has problems, or the workers that were asked for cannot be had; OutputPathError: outputs
-    would replace what is not theirs, or another batch is at work in the folder; WriteError: the disk is full.
+    Outputs and ``results.jsonl`` go into ``folder``, which is made if its parent exists. InputError: the manifest has
+    problems, or the workers cannot be had; OutputPathError: outputs would replace what is not theirs, or another batch
+    is at work in the folder; WriteError: the disk is full.
     """
     begin = time.perf_counter()
     if manifest.problems:
@@ -132,10 +130,7 @@ def run_batch(
 
 
 def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptions, jobs: int) -> Executor:
-    """The workers that options ask for, at most one for each of ``jobs``.
-
-    ``settings`` makes the settings of a worker of its number of threads. InputError: Ray is not installed.
-    """
+    """At most one worker per job; ``settings`` makes a worker's of its threads. InputError: Ray is not installed."""
     if options.engine == "ray":
         from omnisyn_cli.batch.ray_executor import RayExecutor
 

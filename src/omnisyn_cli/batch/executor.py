@@ -113,8 +113,7 @@ class Executor(AbstractContextManager["Executor"], Protocol):
 def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None, None]:
     """Do all jobs, the most expensive groups first; outcomes in the order in which jobs end.
 
-    An error of a job and the death of a worker stop nothing: a dead worker is replaced, its job is tried once more, and
-    fails when that kills its worker again.
+    Errors and dead workers stop nothing: these are replaced, and a job fails that kills its worker for the second time.
     """
     waiting = deque(_groups(jobs))
     groups_of_workers: dict[int, deque[Job]] = {}
@@ -165,8 +164,8 @@ def _lost(death: str) -> Answer:
 class LocalExecutor(Executor):
     """Workers that are processes of this machine; each is started when its first job is given.
 
-    It is started afresh (spawn), so that it inherits neither threads nor locks, and ends by itself when this process is
-    gone. ``threads`` are those of each worker's libraries.
+    Spawned, they inherit neither threads nor locks, and end with this process. ``threads`` are those of their
+    libraries.
     """
 
     def __init__(self, work: Work, workers: int, threads: int) -> None:

@@ -30,10 +30,7 @@ STAGING_SUFFIX = ".batch"  # of the hidden folder in which a batch works; its wh
 
 
 def recorded_outputs(path: Path) -> set[str]:
-    """Files and folders that any record of a file names as made by a batch; none where there is no such file.
-
-    Lines that are no records are passed over: :class:`Records` refuses them.
-    """
+    """Places that the records of a file name, if there is one; :class:`Records` refuses other lines."""
     places: set[str] = set()
     if not path.is_file():
         return places
@@ -110,10 +107,9 @@ class Records:
 
 
 def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse a folder in which a batch would destroy something, and make it if there is none.
+    """Refuse a folder in which a batch would destroy something (OutputPathError), and make it if there is none.
 
-    What a batch has recorded may be replaced, and, where a run was killed, what it had no time to record.
-    OutputPathError: an output would replace an input, or a file that no batch has written.
+    It may replace what a batch has recorded and, after a kill, what it had no time to record; never inputs.
     """
     if not folder.exists():
         check_folder(folder.parent)
@@ -133,10 +129,7 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
 
 @contextmanager
 def open_staging_dir(folder: Path) -> Iterator[str]:
-    """Make the hidden folder for work in progress; remove it again.
-
-    Yields its name, by which a worker can tell whether it sees this folder: see :func:`attempt_folder`.
-    """
+    """Make and remove the hidden folder for work in progress, whose name tells workers whether they see this folder."""
     staging = temporary_name(folder, STAGING_SUFFIX)
     try:
         with write_errors(staging):
@@ -168,10 +161,7 @@ def _remove(staging: Path) -> None:
 
 @contextmanager
 def attempt_folder(staging: Path) -> Iterator[tuple[Path, bool]]:
-    """An empty folder for one attempt at a job, gone afterwards, and whether it is in the batch's hidden folder.
-
-    A machine that does not see that folder takes its own place for such folders.
-    """
+    """An empty folder for one attempt, and whether it is in the hidden one, which another machine may not see."""
     if not staging.is_dir():
         with tempfile.TemporaryDirectory(prefix="omnisyn-batch-") as name:
             yield Path(name), False
@@ -202,10 +192,7 @@ def is_unchanged(folder: Path, places: Iterable[str], measured: Mapping[str, Map
 
 
 def publish(attempt: Path, folder: Path, places: Iterable[str]) -> None:
-    """Move what an attempt has made to its final name, in folders in place of files with names of the same kinds.
-
-    WriteError: the disk is full, or the folder went away.
-    """
+    """Move an attempt's outputs to their names, in folders in place of names of their kinds; WriteError: no space."""
     for place in places:
         produced, target = attempt / place, folder / place
         with write_errors(target):

@@ -74,10 +74,9 @@ class PanoramaCache(LRUCache[CachedPanorama]):
 
 
 class DepthCache(LRUCache[tuple[DepthEstimate, DepthEstimate]]):
-    """A :class:`~omnisyn_cli.types.DepthEstimator` that remembers the last pairs, whichever way round they are asked.
+    """A :class:`~omnisyn_cli.types.DepthEstimator` that remembers the last pairs, either way round.
 
-    A pair is always handed to the estimator in one order, given by its positions: so both directions have the same
-    depth, and no result depends on what was asked before.
+    It is asked in one order, by positions: both directions have the same depth, whatever was asked before.
     """
 
     def __init__(self, estimator: DepthEstimator) -> None:

@@ -37,9 +37,8 @@ class TourOptions:
 def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
     """Lines of a manifest, one per job, for a pose file, a folder with ``poses.json``, or a folder of such folders.
 
-    File names are relative to the working directory or absolute, as ``source`` is.
-
-    InputError: no pose file, a damaged one, no two panoramas that are near enough, or options that no job has.
+    File names are relative or absolute as ``source`` is. InputError: no pose file, or a damaged one; no near panoramas;
+    unknown options.
     """
     check_options(options.options)
     lines = [line for file in _pose_files(source) for line in _tour(file, source, options)]
@@ -52,10 +51,7 @@ def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
 
 
 def write_manifest(path: Path, lines: Iterable[Mapping[str, Any]], *, overwrite: bool = False) -> None:
-    """Write lines as JSONL, file names relative to the manifest's folder.
-
-    OutputPathError: the file exists and ``overwrite`` is off, or it has no folder; WriteError: the disk is full.
-    """
+    """Write JSONL, files relative to it. OutputPathError: it exists and may not be replaced; WriteError: no space."""
     check_output(path, overwrite)
     text = "".join(json.dumps(_relative(line, path.parent), ensure_ascii=False) + "\n" for line in lines)
     write_parts(path, [text.encode()])
@@ -64,8 +60,7 @@ def write_manifest(path: Path, lines: Iterable[Mapping[str, Any]], *, overwrite:
 def neighbours(positions: Float[np.ndarray, "count 3"], count: int, farthest: float) -> list[tuple[int, int]]:
     """Pairs ``(a, b)``, a < b, in which one is among the ``count`` nearest of the other, at most ``farthest`` apart.
 
-    Panoramas at one place are no neighbours. Positions are looked up in cubes of side ``farthest``, so the time grows
-    with their number times how many lie near each other.
+    None at one place. Positions are looked up in cubes of side ``farthest``: time grows with how many lie near.
     """
     cubes: dict[tuple[int, ...], list[int]] = defaultdict(list)
     cells = np.floor(positions / farthest).astype(np.int64)

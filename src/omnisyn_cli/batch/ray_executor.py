@@ -17,9 +17,9 @@ from omnisyn_cli.errors import InputError, OmnisynError
 class RayExecutor:
     """An :class:`~omnisyn_cli.batch.executor.Executor` of Ray actors; the nodes must have this package installed.
 
-    Without a number of workers there are as many as the cluster's processors allow now; each actor asks for ``threads``
-    processors and ``gpus`` GPUs, or a share of one. The address is that of the cluster, such as ``auto`` or
-    ``ray://host:10001``; None asks the environment variable RAY_ADDRESS and otherwise starts one on this machine.
+    By default as many as the cluster has room for now, each with ``threads`` processors and ``gpus``, or a share of
+    one. Its address is ``auto``, ``ray://host:10001``; None is RAY_ADDRESS, else a cluster that is started on this
+    machine.
     """
 
     def __init__(

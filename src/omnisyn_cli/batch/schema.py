@@ -22,10 +22,7 @@ LIST_COLUMNS = frozenset({"inputs", "masks"})  # columns of CSV with several fil
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
-    """Number and fields of every line that is not empty; a string says what is wrong with one.
-
-    InputError: the file cannot be read.
-    """
+    """Number and fields of every line that is not empty, or what is wrong with it; InputError: an unreadable file."""
     text = read_text(path, "a manifest", MAX_MANIFEST_BYTES, InputError)
     if path.suffix.lower() == ".csv":
         yield from _rows(csv.DictReader(io.StringIO(text), strict=True))
@@ -119,10 +116,7 @@ Line: Any = create_model("Line", __config__=LINE_CONFIG, **LINE_FIELDS, **OPTION
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Refuse what the jobs of a manifest cannot all say.
-
-    InputError: an unknown option, one that is different for every job, or a value that it does not take.
-    """
+    """InputError unless all jobs of a manifest can have these options: known, not each job's own, valid values."""
     common = sorted(Line.model_fields.keys() - LINE_FIELDS.keys() | {"poses"})
     for name in options:
         if name not in common:

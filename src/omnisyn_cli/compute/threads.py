@@ -31,10 +31,7 @@ def allowed_threads() -> int:
 
 @contextmanager
 def at_most(threads: int) -> Iterator[None]:
-    """Inside, in the calling thread and what :func:`both` starts from it, loops use no more threads than that.
-
-    Raises ValueError: fewer than one thread.
-    """
+    """Inside, here and in what :func:`both` starts, loops use no more threads than that. ValueError: fewer than 1."""
     if threads < 1:
         raise ValueError(f"expected at least 1 thread, got {threads}")
     former = _limit.set(min(threads, _limit.get() or threads))
@@ -46,10 +43,7 @@ def at_most(threads: int) -> Iterator[None]:
 
 @contextmanager
 def limited_threads(threads: int | None) -> Iterator[None]:
-    """At most ``threads`` of this package (:func:`at_most`) and OpenCV (of the process) inside; None changes nothing.
-
-    Raises ValueError: fewer than one thread.
-    """
+    """:func:`at_most` so many, and OpenCV's (of the process); None changes nothing. ValueError: fewer than 1."""
     if threads is None:
         yield
         return
@@ -65,10 +59,7 @@ def limited_threads(threads: int | None) -> Iterator[None]:
 
 
 def both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
-    """What two functions return, called at the same time where loops may use more than one thread.
-
-    For work that is mostly numpy's, which uses one.
-    """
+    """What two functions return, at once if loops may use two threads: for numpy's work, which uses one."""
     if allowed_threads() == 1:
         return first(), second()
     with ThreadPoolExecutor(1, "omnisyn-both") as pool:

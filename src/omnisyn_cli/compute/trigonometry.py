@@ -38,8 +38,7 @@ def atan2_fast(y, x):
 def log2_fast(x):
     """``log2(x)`` of a normal positive float32, without branches.
 
-    The exponent is read from the bits; for m in [0, 1) log2(1 + m) is ``m + m·(1 − m)·p(m)``, where p is fitted by
-    least squares.
+    Exponent from the bits; log2(1 + m) of m in [0, 1) is ``m + m·(1 − m)·p(m)``, p fitted by least squares.
     """
     bits = np.float32(x).view(np.int32)
     exponent = np.float32((bits >> 23) - 127)

@@ -58,10 +58,10 @@ def computing() -> float:
 
 
 def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = lambda: None) -> Figures:
-    """Measure a setting; copies and clips go into an empty folder.
+    """Measure a setting in an empty folder; ``start`` is what the first clip, made twice, takes longer at first.
 
-    The first clip is made twice: what it takes longer the first time is ``start``. ``on_warm`` is called in between.
-    InputError: a picture cannot be read, or a network is missing; EncodingError, WriteError: a clip cannot be written.
+    ``on_warm`` is called in between. InputError: no picture or network; EncodingError, WriteError: a clip is not
+    written.
     """
     setting = run.setting
     config = replace(find_method(setting.method).config, device=run.device)
@@ -138,11 +138,7 @@ def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan
 
 
 def _peak_memory() -> int | None:
-    """Bytes that this process has held at most.
-
-    What ``getrusage`` says is no less than what the parent held when it started this process, so Linux is asked
-    directly.
-    """
+    """Bytes held at most, of Linux itself: ``getrusage`` says no less than what the parent held at the start."""
     if PROCESS_STATUS.exists():
         lines = PROCESS_STATUS.read_text(encoding="ascii", errors="replace").splitlines()
         peaks = [line.split() for line in lines if line.startswith(PEAK_MEMORY_FIELD)]

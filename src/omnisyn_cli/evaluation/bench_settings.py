@@ -72,10 +72,7 @@ class BenchJob:
 
 
 def make_scenes(folder: Path, size: tuple[int, int]) -> None:
-    """Write the scenes of :data:`GENERATED_PAIRS` into a folder; those that are there already stay.
-
-    OutputPathError, WriteError: the folder cannot be written.
-    """
+    """Write the missing scenes of :data:`GENERATED_PAIRS`; OutputPathError, WriteError: the folder is not writable."""
     make_folder(folder, "results")
     for kind, seed, baseline in GENERATED_PAIRS:
         place = folder / f"{kind}-{seed}-{baseline:g}m"
@@ -87,10 +84,7 @@ def make_scenes(folder: Path, size: tuple[int, int]) -> None:
 
 
 def plan_bench(job: BenchJob) -> list[BenchRun]:
-    """What is to be measured, in its order; nothing is yet.
-
-    InputError: no such method, or one that has no video; no scenes, or poses or true frames that cannot be read.
-    """
+    """What is to be measured, in order; InputError: unknown methods, or without video; no scenes; unreadable poses."""
     methods = find_methods(job.methods)
     for method in methods:
         needs_truth = method.config.draws_surfaces and not method.config.estimates_depth
@@ -119,9 +113,8 @@ def run_bench(
 ) -> list[Figures]:
     """Measure what is not measured yet in the folder of a report; the figures of all settings in their order.
 
-    ``on_setting`` is called with the number of finished settings and the figures of the last one.
-    InputError: the results of an earlier run cannot be read, or a file of the data set is missing; OutputPathError,
-    WriteError: the folder of the report cannot be written.
+    ``on_setting`` is called with the number of finished settings and the figures of the last one. InputError: earlier
+    results or the data set cannot be read; OutputPathError, WriteError: the folder cannot be written.
     """
     make_folder(report, "results")
     path = report / RESULTS_NAME

@@ -146,9 +146,8 @@ def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | 
 def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
     """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
 
-    ``on_unit`` is called with the number of finished units and the record of the last one.
-    InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one; OutputPathError,
-    WriteError: the folder of the report cannot be written.
+    ``on_unit`` gets the number of finished units and the last record. InputError: unreadable earlier results, or no
+    network for ``lpips``; OutputPathError, WriteError: the folder of the report cannot be written.
     """
     return list(_written(plan, on_unit))
 

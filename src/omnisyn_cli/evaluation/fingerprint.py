@@ -38,10 +38,7 @@ class Fingerprints:
         self._program = [RECORD_VERSION, omnisyn_cli.__version__, digest_of_sources(Path(omnisyn_cli.__file__).parent)]
 
     def of(self, pair: Pair, method: Sequence[str], options: Mapping[str, Any]) -> str:
-        """Hexadecimal digest of everything that the result of a method on a pair depends on.
-
-        ``method`` is its name and ingredients, ``options`` are plain values. ImageError: a file cannot be read.
-        """
+        """Digest of all that a method (name, ingredients) on a pair depends on; ImageError: an unreadable file."""
         frames = [
             [frame.name, frame.pose.position.tolist(), frame.pose.rotation.tolist(), *map(self.of_file, frame.files)]
             for frame in (pair.first, pair.second, *pair.between, pair.before, pair.after)

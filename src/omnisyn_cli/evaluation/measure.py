@@ -69,10 +69,7 @@ def measure(
     method: PairMaker, pair: LoadedPair, names: tuple[str, str], perceptual: Perceptual | None = None,
     threads: int | None = None,
 ) -> Measurement:  # fmt: skip
-    """Let a method make the targets of a pair, a clip and both ends, and measure them.
-
-    ``names`` are those of the panoramas. ``perceptual`` is a further distance of pictures, ``lpips`` in the scores.
-    """
+    """Make and measure a pair's targets, a clip and both ends; ``names`` of panoramas; ``perceptual`` is ``lpips``."""
     clock = Stopwatch()
     made = method(pair.size, clock)
     images = tuple(_clip_to_unit(made.frame(target.waypoint).image) for target in pair.targets)
@@ -123,10 +120,7 @@ def _clip_to_unit(image: Picture) -> Picture:
 
 
 def frame_scores(image: Picture, truth: Picture, perceptual: Perceptual | None = None) -> dict[str, float]:
-    """All measures of one picture, by the names of :class:`omnisyn_cli.evaluation.results.FrameRecord`.
-
-    Pictures of fewer than 11 rows have no structural similarity.
-    """
+    """All measures of :class:`omnisyn_cli.evaluation.results.FrameRecord`; no structural ones below 11 rows."""
     scores = {
         "ws_psnr": ws_psnr(image, truth),
         "psnr": psnr(image, truth),

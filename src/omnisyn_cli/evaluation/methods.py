@@ -102,18 +102,10 @@ class ComparedMethod:
 class MethodAtWork:
     """A method at work on one pair of views: called with a size and a stopwatch, it makes the pair ready for frames.
 
-    Args:
-        method: which.
-        views: with the true depth, which is kept from all that must not see it.
-        threads: at most this many; None is one per core.
-        device: where networks run: ``auto``, ``cpu`` or ``cuda``.
-        known: depth that other methods have found, which counts with the seconds that it took there.
-        around: the panoramas before and after both, likewise, for a method that is in a tour. The seconds of their
-            pairs are not counted here, as each is a pair of its own.
-        still: what moves with the camera in a whole tour, see :mod:`omnisyn_cli.synthesis.still_outlines`.
-
-    Raises:
-        MethodUnavailableError: true depth or a network is missing.
+    ``views`` have the true depth, kept from all that must not see it. ``known`` is depth that other methods have found,
+    which counts with the seconds that it took there. ``around``: the panoramas before and after, for a method in a
+    tour, whose own pairs' seconds are not counted here. For ``still`` see :mod:`omnisyn_cli.synthesis.still_outlines`.
+    MethodUnavailableError: true depth or a network is missing.
     """
 
     def __init__(
@@ -371,10 +363,7 @@ def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
 
 
 def find_methods(text: str) -> list[ComparedMethod]:
-    """``usual``, ``all``, or names separated by commas, each once.
-
-    InputError: a name that there is no method of, or no name.
-    """
+    """``usual``, ``all``, or names separated by commas, each once; InputError: an unknown name, or none."""
     if text in ("usual", "all"):
         return [METHODS[name] for name in (DEFAULT_METHODS if text == "usual" else METHODS)]
     names = dict.fromkeys(name.strip() for name in text.split(",") if name.strip())

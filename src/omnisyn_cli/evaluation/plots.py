@@ -62,10 +62,7 @@ def _diagrams(records: Sequence[UnitRecord]) -> dict[str, Figure | None]:
 def _quality_by(
     records: Sequence[UnitRecord], coordinates: Callable[[FrameRecord], tuple[float, float]], title: str
 ) -> Figure | None:
-    """Frames as points, means over bands as lines, one colour for each method.
-
-    ``coordinates`` gives the place of a frame on the axis ``title``, and the number of its band.
-    """
+    """Frames as points, means over bands as lines; ``coordinates``: place on the axis ``title`` and band of frames."""
     drawn = {
         method: [(*coordinates(frame), score) for score, frame in frames_of(records, method) if math.isfinite(score)]
         for method in ranked_methods(records)
@@ -148,10 +145,9 @@ def _reliability(records: Sequence[UnitRecord]) -> Figure | None:
 
 
 def pareto_plot(measured: Sequence[Figures], reference_method: str) -> bytes | None:
-    """Accuracy against the computing of a standard clip as a PNG file: a line along the front, full points on it.
+    """Accuracy against the computing of a standard clip as PNG: a line along the front; None without accuracy.
 
-    Bars are the standard error of the difference to the default, from pair to pair. None where no setting has an
-    accuracy.
+    Full points are on the front. Bars are the standard error of the difference to the default, from pair to pair.
     """
     rated = sorted((f for f in measured if f.status == "done" and f.scores), key=standard_seconds)
     if not rated:

@@ -17,13 +17,11 @@ __all__ = ["evaluate", "score"]
 def evaluate(
     dataset: Path | str, methods: str = "usual", report: Path | str | None = None, **options: Any
 ) -> list[UnitRecord]:
-    """Compare methods with true frames and true depth, as ``omnisyn eval`` does.
+    """Compare methods with true frames and true depth, as ``omnisyn eval`` does; a record for each on every pair.
 
-    ``methods`` are ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
-    ``report`` is a folder for results and pictures; None keeps nothing. ``options`` are those of
-    :class:`omnisyn_cli.evaluation.engine.EvaluationJob`. Returns a record for every method on every pair.
-
-    OmnisynError: no scenes, no such method, or a folder that cannot be written.
+    ``methods`` are ``usual``, ``all`` or names separated by commas. ``report`` is a folder for results and pictures;
+    None keeps nothing. ``options`` are those of :class:`omnisyn_cli.evaluation.engine.EvaluationJob`. OmnisynError: no
+    scenes, no such method, or a folder that cannot be written.
     """
     if report is not None:
         return engine.evaluate(

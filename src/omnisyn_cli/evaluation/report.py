@@ -146,10 +146,7 @@ def _escaped(value: Any) -> str:
 
 
 def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
-    """Write ``bench.html``, ``bench.json`` and, where there is accuracy, ``bench.png``; the folder's parent exists.
-
-    WriteError: the disk is full, or the folder went away.
-    """
+    """Write ``bench.html``, ``.json`` and, where there is accuracy, ``.png``. WriteError: no space, or no folder."""
     diagram, about = pareto_plot(measured, DEFAULT_METHOD), {"version": __version__, "machine": machine_in_words()}
     template = _environment(autoescape=True).get_template("bench.html.j2")
     values = {**about, "settings": [asdict(figures) for figures in measured]}

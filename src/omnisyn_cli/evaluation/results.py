@@ -145,10 +145,7 @@ def append_record(folder: Path, record: UnitRecord) -> None:
 
 
 def read_records(folder: Path) -> list[UnitRecord]:
-    """All complete lines of ``folder/results.jsonl``, in their order; none where there is no such file.
-
-    InputError: the file cannot be read, or a line but the last is not a record.
-    """
+    """All complete lines of ``folder/results.jsonl``, if any; InputError: unreadable, or a line is no record."""
     path, records = folder / RESULTS_NAME, []
     for number, line in enumerate(complete_lines(path), start=1):
         try:

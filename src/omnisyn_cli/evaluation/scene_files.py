@@ -49,8 +49,7 @@ def write_renderings(
 ) -> None:  # fmt: skip
     """Write panoramas, their depth (EXR, metres) if it is wanted, and their poses into a folder that exists.
 
-    ``render`` gives the colours and the depth of a pose, ``path`` has the poses by the image file of each panorama.
-    WriteError: the disk is full, or the folder went away.
+    ``render`` gives colours and depth of a pose, ``path`` the poses by image file. WriteError: no space, or no folder.
     """
     panoramas = {}
     for name, pose in path.items():

@@ -78,10 +78,9 @@ def load_pair(
 ) -> LoadedPair:  # fmt: skip
     """Read all pictures, masks and depth of a pair; frames are compared at ``size`` or that of the first true frame.
 
-    Without true frames the size is that of the first panorama, at most :data:`MAX_HALF_WAY_ROWS`; likewise where the
-    true frames are photographs, in which what moves with the camera is not compared.
-
-    InputError: a file is missing or damaged, or a mask has another size than its panorama.
+    Without true frames it is that of the first panorama, at most :data:`MAX_HALF_WAY_ROWS`; so it is with photographs,
+    in which what moves with the camera is not compared. InputError: a file is missing or damaged, or a mask of another
+    size.
     """
     views = (_view(pair.first), _view(pair.second))
     rows = min(views[0].image.shape[0], MAX_HALF_WAY_ROWS)

@@ -56,18 +56,12 @@ Sections = dict[str, dict[str, Pictures]]
 
 
 def error_map(image: Picture, truth: Picture) -> UInt8[np.ndarray, "height width 3"]:
-    """Mean difference of the channels in the Inferno colours: black 0, pale yellow :data:`ERROR_SCALE` or more.
-
-    Both are RGB in [0, 1]; ValueError: they differ in size.
-    """
+    """Mean difference in [0, 1] in Inferno: black 0, pale yellow :data:`ERROR_SCALE`; ValueError: other sizes."""
     return _coloured(_error_share(image, truth), cv2.COLORMAP_INFERNO)
 
 
 def kind_map(image: Picture, truth: Picture, kinds: Masks) -> UInt8[np.ndarray, "height width 3"]:
-    """The error as of :func:`error_map`, as brightness of the colour of its kind of pixel, :data:`KIND_COLOURS`.
-
-    ``kinds`` says where pixels of each kind are; those without a colour are not shown.
-    """
+    """:func:`error_map` as brightness of the colour of each kind of pixel, :data:`KIND_COLOURS`, black without one."""
     brightness = KIND_MIN_BRIGHTNESS + (1.0 - KIND_MIN_BRIGHTNESS) * np.clip(_error_share(image, truth), 0.0, 1.0)
     colour = np.zeros(image.shape)
     for kind, of_kind in KIND_COLOURS.items():
@@ -86,10 +80,8 @@ def turbo(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Inverse depth in the Turbo colours: red is near, dark blue infinitely far, black unknown (negative or NaN).
 
-    The colour is that of the square root of ``inverse_depth / largest``, so that far surfaces differ as well. Both are
-    in 1/m; ``largest`` has the last colour, by default the 99th percentile of what is positive and finite, else 1.
-
-    Source of the colours: Mikhailov, Turbo, an improved rainbow colormap for visualization, 2019.
+    The colour is that of √(inverse_depth / largest), 1/m, which by default is the 99th percentile of what is positive
+    and finite, else 1. Source: Mikhailov, Turbo, an improved rainbow colormap for visualization, 2019.
     """
     known = np.nan_to_num(inverse_depth, nan=-1.0) >= 0
     largest = _nearest_shown(inverse_depth) if largest is None else largest

@@ -73,8 +73,7 @@ def quantize(value, quantization):
 def _inverse_distance_weight(rho, x, y, z, offset):
     """(Distance from the target / distance from the source) of a point, cubed.
 
-    With the ray r, the point is ``r / ρ`` and its distance from the source ``|r − ρ·offset| / ρ``: ρ cancels, so points
-    at infinity are no special case.
+    With the ray r these are ``1 / ρ`` and ``|r − ρ·offset| / ρ``: ρ cancels, points at infinity are no special case.
     """
     dx, dy, dz = x - rho * offset[0], y - rho * offset[1], z - rho * offset[2]
     squared = dx * dx + dy * dy + dz * dz + np.float32(1e-8)  # a surface at the source itself: no division by 0
@@ -219,10 +218,7 @@ def _quantize_mean(upper, lower, at, share, quantization, pixel):
 
 @fast_subkernel()
 def _blend_run(first, second, rule, tables, mixed):
-    """Blend some pixels of a row. ``mixed`` gets red, green, blue and fill weight, :data:`RUN_PIXELS` apart.
-
-    Colours come flat, because LLVM vectorises strides that it knows.
-    """
+    """Blend flat pixels; ``mixed`` gets red, green, blue and fill weight, :data:`RUN_PIXELS` apart."""
     zero, one, far_offset = np.float32(0.0), np.float32(1.0), np.float32(FAR_WEIGHT_OFFSET)
     sine, y = tables.sin_p[0], tables.cos_p[0]
     a_colour, b_colour = first.colour, second.colour

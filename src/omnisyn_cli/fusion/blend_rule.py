@@ -79,10 +79,7 @@ class LayerArrays:
 def view_weights(
     first: LayerArrays, second: LayerArrays, directions: Float[Array, "*pixels 3"], rule: BlendRule
 ) -> tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]:
-    """Weights of two layers, not normalised; 0 for a layer that shows nothing.
-
-    ``directions`` are unit vectors through the target's pixels.
-    """
+    """Weights of two layers, not normalised, 0 where one shows nothing; ``directions`` are the target's unit rays."""
     xp = array_namespace(first.weight)
     zero, one = xp.zeros_like(first.weight), xp.ones_like(first.weight)
     a, b = (
@@ -121,10 +118,7 @@ def _inverse_distance_weight(layer: LayerArrays, directions: Float[Array, "*pixe
 def blend_layers(
     first: LayerArrays, second: LayerArrays, weights: tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]
 ) -> tuple[Float[Array, "*pixels 3"], Float[Array, "*pixels"]]:
-    """The mean by the weights of :func:`view_weights`, never negative, and its own weight for filling holes around it.
-
-    That weight is 0 in holes, and large where the mean is far.
-    """
+    """The mean by such weights, never negative, and its weight for holes around it: 0 in holes, large where far."""
     a, b = weights
     xp = array_namespace(a)
     total, nothing = a + b, xp.zeros_like(a)

@@ -13,16 +13,9 @@ SAMPLES_PER_BLOCK_SIDE = 4
 def downsample_rows(colour, rho, coarse, coarse_rho, top, height):
     """Some rows of a layer at a smaller size: means over blocks of what is seen, by its weight.
 
-    Of large blocks only every so many-th row and column is read, at least :data:`SAMPLES_PER_BLOCK_SIDE` of each.
-
-    Args:
-        colour: ``(rows, width, 4)`` RGB and weight; the rows are those of whole blocks.
-        rho: inverse depth.
-        coarse: ``(coarse height, cols, 4)`` written: RGB in [0, 1] and the mean weight, unseen pixels counting as 0.
-            All of it is 0 where nothing is seen.
-        coarse_rho: written; −1 where nothing is seen.
-        top: row of the frame that the first row is.
-        height: rows of the frame, at least as many as coarse ones.
+    Of large blocks only :data:`SAMPLES_PER_BLOCK_SIDE` rows and columns, or some more, are read. ``colour`` ``(rows,
+    width, 4)``, RGB and weight, and ``rho`` are rows of whole blocks, from ``top`` on, of a frame of ``height`` rows.
+    Written are ``coarse``, RGB in [0, 1] and mean weight, 0 where nothing is seen, and ``coarse_rho``, −1 there.
     """
     width = rho.shape[1]
     rows, cols = coarse_rho.shape

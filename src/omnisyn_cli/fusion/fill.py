@@ -23,10 +23,7 @@ MIN_THREADED_PIXELS = 1 << 16
 
 
 class HoleFiller:
-    """A pyramid for one image size, reused from frame to frame.
-
-    ``half`` has colours and weights of the level of half the size, rounded up; a kernel may pull into it by itself.
-    """
+    """A pyramid for one size, reused; kernels may pull into ``half``, the colours and weights of half the size."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
@@ -39,10 +36,9 @@ class HoleFiller:
     def __call__(
         self, image: Float32[np.ndarray, "height width 3"], weight: Float32[np.ndarray, "height width"]
     ) -> None:
-        """Fill, in place, the pixels of ``image`` whose ``weight`` is 0; the others are not touched.
+        """Fill, in place, the pixels of ``image`` (RGB) whose ``weight`` is 0; it wraps at the seam.
 
-        The image is RGB and wraps at the seam. A weight >= 0 is how much a pixel counts for the holes around it.
-        Without any weight the image becomes black.
+        A weight >= 0 is how much a pixel counts for the holes around it. Without any the image becomes black.
         """
         if weight.min() <= 0.0:
             self._pull((image, weight), self.half)
@@ -75,10 +71,7 @@ class HoleFiller:
 
 @fast_kernel()
 def _pull_rows(colour, weight, coarse_colour, coarse_weight, rows):
-    """Weighted means over 2×2 pixels, for some coarse rows; an odd last row or column stands alone.
-
-    Colours without weight are not read: they may be anything, NaN included.
-    """
+    """Weighted means over 2×2 pixels, an odd last row or column alone; colours without weight (NaN) are not read."""
     height, width = weight.shape
     for row in rows:
         for col in range(coarse_weight.shape[1]):
@@ -100,10 +93,9 @@ def _pull_rows(colour, weight, coarse_colour, coarse_weight, rows):
 
 @fast_kernel()
 def _fill_rows_from_coarser(coarse_colour, coarse_weight, colour, weight, keeps_weight, quantization, rows):
-    """Fill the holes of rows (indices) from the next coarser level, bilinearly and by weight; rows end at the poles.
+    """Fill the holes (weight 0) of rows (indices) from the next coarser level, bilinearly and by weight; rows end.
 
-    Colours ``(height, width, 3)`` are changed where their weight is 0. Unless ``keeps_weight``, filled pixels get the
-    mean weight of what they were filled from, for the next level. ``quantization`` is that of ``colour``.
+    Unless ``keeps_weight``, filled pixels get the mean weight of what they were filled from, for the next level.
     """
     width = weight.shape[1]
     coarse_height, coarse_width = coarse_weight.shape

@@ -23,16 +23,9 @@ Confidence = Float32[np.ndarray, "height width"]
 
 
 class GeometricFuser:
-    """Blends the layers of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
+    """A :class:`omnisyn_cli.types.Fuser` that blends two layers. Not shared between threads.
 
-    Args:
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
-        edges: whether edge pixels are supersampled (:mod:`omnisyn_cli.fusion.supersampling`) if the layers can be.
-
-    Attributes:
-        tiles: runs over the row tiles of both layers.
-        is_seen: of the last frame: 0 in holes, else 1.
+    With ``edges`` they are supersampled if the layers can be. ``tiles`` runs over both layers; ``is_seen``: 0 in holes.
     """
 
     def __init__(self, size: tuple[int, int], threads: int | None = None, *, edges: bool = True) -> None:

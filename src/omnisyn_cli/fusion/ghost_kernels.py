@@ -10,10 +10,9 @@ from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 def accumulate_cells(first, first_rho, second, second_rho, cell_size, sums, begin, end):
     """Sums over the pixels of each cell, for rows of cells ``begin`` to ``end``.
 
-    Layers are ``(height, width, 4)`` RGB and weight, with their inverse depths; ``cell_size`` is the side of a cell in
-    pixels. ``sums``, ``(rows, cols, 13)``, are written: [0] how many pixels both layers see; of these, [1–4] RGB and
-    weight of the first, [5–8] of the second, [9, 10] inverse depth of both; [11] how many only the first sees, [12]
-    only the second.
+    Layers are ``(height, width, 4)`` RGB and weight, with inverse depths; ``cell_size`` is in pixels. ``sums``,
+    ``(rows, cols, 13)``, are written: [0] how many pixels both see; of these [1–4] RGB and weight of the first, [5–8]
+    of the second, [9, 10] inverse depth of both; [11] how many only the first sees, [12] only the second.
     """
     height, width = first_rho.shape
     for i in range(begin, end):
@@ -39,9 +38,8 @@ def accumulate_cells(first, first_rho, second, second_rho, cell_size, sums, begi
 def suppress_rows(first, second, signed_strength, cell_size, top):
     """Take weight from the suppressed layer where both see something; the strength is bilinear between cells.
 
-    Layers are ``(rows, width, 4)`` RGB and weight, changed in place; ``top`` is the row of the frame that their first
-    row is. ``signed_strength`` is by cell of ``cell_size`` pixels: from −1 (the first loses all weight) to 1 (the
-    second).
+    Layers, ``(rows, width, 4)`` from row ``top`` of the frame on, change in place. ``signed_strength``, by cell of
+    ``cell_size`` pixels, is from −1 (the first loses all weight) to 1 (the second).
     """
     width = first.shape[1]
     for row in range(len(first)):

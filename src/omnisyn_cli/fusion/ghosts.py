@@ -84,10 +84,7 @@ class GhostSuppression:
 class GhostRemover:
     """Detects where blending two layers of one size would show a ghost, and which layer is suppressed there.
 
-    Attributes:
-        is_full_resolution: whether the detector reads every pixel, not only some of each cell.
-        downsampled_size: how many rows and columns it reads.
-        samples_per_side: pixels that it reads along the side of a cell.
+    It reads ``samples_per_side`` pixels along a cell, ``downsampled_size`` of all: every one if ``is_full_resolution``.
     """
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
@@ -133,11 +130,7 @@ class GhostRemover:
         return min(ILLUMINATION_RADIUS, *(count // 2 - 1 for count in self._grid))
 
     def _cell_means(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
-        """Statistics of each cell, of the pixels that both layers see.
-
-        Returns the means of both layers; how many pixels these are; by what share of all seen pixels the first sees
-        more.
-        """
+        """Means by cell of both layers, of what both see; how many pixels; what share the first sees more."""
         (a, a_rho), (b, b_rho) = ((layer.colour, layer.inverse_depth) for layer in (first, second))
         if is_numpy_array(a):
             sums = np.empty((*self._grid, 13), np.float32)
@@ -225,8 +218,7 @@ def suppress(
 ) -> None:
     """Take weight from the suppressed layer where both see something, in place; bilinear between cells.
 
-    Layers are ``(rows, width, 4)`` RGB and weight; ``top`` is the row of the frame that the first of them is. For the
-    strength by cell and the side of a cell see :class:`GhostSuppression`.
+    Layers are ``(rows, width, 4)`` from row ``top`` of the frame on; for the strength see :class:`GhostSuppression`.
     """
     if is_numpy_array(first):
         suppress_rows(first, second, signed_strength, cell_size, top)
@@ -280,8 +272,7 @@ def region_winners(
 def label_regions(differs: Bool[Array, "rows cols"]) -> Integer[Array, "rows cols"]:
     """A label > 0 for every 8-connected region, across the seam as well; 0 outside.
 
-    On a device the largest label spreads to neighbours, and each cell then takes the label of the cell that its label
-    names (pointer jumping). So winding regions take hardly more steps than compact ones.
+    On a device the largest label spreads, and cells take that of the cell it names (pointer jumping): few steps.
     """
     if is_numpy_array(differs):
         return connected_regions(differs, is_diagonal=True)

@@ -17,10 +17,7 @@ TILE_COARSE_ROWS = 4  # rows of the smaller size that are averaged together. Set
 
 
 class InputBuilder:
-    """Makes channels of a size from layers of at least :data:`CANDIDATE_SCALE` times that. Not shared between threads.
-
-    ``tiles`` runs over the row tiles of the layers.
-    """
+    """Makes channels of a size from layers :data:`CANDIDATE_SCALE` times that or larger. Not shared between threads."""
 
     def __init__(self, size: tuple[int, int], tiles: LayerPairShader) -> None:
         self.size, self._tiles = size, tiles

@@ -55,10 +55,7 @@ Fill = Callable[[Array, Array], Array]
 def fusion_input_channels(
     first: LayerArrays, second: LayerArrays, rule: BlendRule, baseline: float, fill: Fill
 ) -> Float[Array, "channels height width"]:
-    """All channels of the list above.
-
-    ``baseline`` is the distance of both views in the unit of depth; ``fill`` fills the holes of the geometric fusion.
-    """
+    """All of the list above; ``baseline`` in the unit of depth, ``fill`` fills the holes of the geometric fusion."""
     xp, like = array_namespace(first.weight), first.weight
     both = first.is_seen & second.is_seen
     one, is_both = xp.ones_like(like), xp.astype(both, like.dtype)
@@ -117,8 +114,7 @@ def sqrt_inverse_depth(scaled: Float[Array, "*maps height width"]) -> Float[Arra
 def disagreement_mask(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
     """A soft mask in [0, 1]: 1 where the layers disagree about depth, and around there; wraps at the seam.
 
-    Where they agree, the nearer view shows the place sharper, and a mixture would only blur it. For ``gap`` see
-    :func:`omnisyn_cli.fusion.blend_rule.normalized_depth_gap`.
+    For ``gap`` see :func:`omnisyn_cli.fusion.blend_rule.normalized_depth_gap`.
     """
     disagreement = -array_namespace(gap).expm1(-gap * gap)
     return box_filter(dilate(disagreement, DISAGREEMENT_RADIUS), DISAGREEMENT_BLUR_RADIUS, mirror_poles=False)

@@ -38,10 +38,7 @@ def classify_pixels(first: Layer, second: Layer) -> PixelClasses:
 
 
 def silhouette_mask(first: Layer, second: Layer) -> Bool[Array, "height width"]:
-    """Pixels at most :data:`SILHOUETTE_PIXELS` from a discontinuity of the nearer surface; arguments as above.
-
-    The window around a discontinuity is a square; columns wrap, rows end.
-    """
+    """Pixels at most :data:`SILHOUETTE_PIXELS` (square) from a jump of the nearer surface; columns wrap, rows end."""
     rho_a, rho_b = _seen_depth(first)[1], _seen_depth(second)[1]
     xp = array_namespace(rho_a)
     nearer = xp.maximum(rho_a, rho_b)

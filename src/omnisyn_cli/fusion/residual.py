@@ -46,20 +46,18 @@ class ResidualFusionNetwork(Protocol):
 def network_size(
     size: tuple[int, int], rows: int, multiple: int = SIZE_MULTIPLE, scale: int = CANDIDATE_SCALE
 ) -> tuple[int, int] | None:
-    """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
+    """Height and width of a network for frames of ``size``; None where frames are too small for it.
 
-    Its input has at most so many ``rows``, heights and widths are of a ``multiple``, and frames have at least ``scale``
-    times that height.
+    At most ``rows``, of a ``multiple``, and at most the ``scale``-th part of the frame's height.
     """
     height = min(rows, size[0] // scale, size[1] // (2 * scale)) // multiple * multiple
     return (height, 2 * height) if height else None
 
 
 class ResidualFuser(GeometricFuser):
-    """Blends two layers and corrects the frame; a :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
+    """A :class:`omnisyn_cli.types.Fuser` that blends and corrects by a network. Not shared between threads.
 
-    Below twice :data:`SIZE_MULTIPLE` rows the fusion is geometric. The network's input has at most so many ``rows``; it
-    was trained on 128. For ``threads`` and ``edges`` see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
+    Geometric below twice :data:`SIZE_MULTIPLE` rows. The network sees at most ``rows``; it was trained on 128.
     """
 
     def __init__(
@@ -75,10 +73,7 @@ class ResidualFuser(GeometricFuser):
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
-        """The fused picture, without holes, never negative; see :class:`omnisyn_cli.types.Fuser`.
-
-        InputError: the network does not take the channels, or answers something else.
-        """
+        """See :class:`omnisyn_cli.types.Fuser`; InputError: the network does not take channels or answers otherwise."""
         rule = BlendRule.at(t)
         if (
             self._inputs is None

@@ -47,10 +47,9 @@ class EdgeSupersampler:
         self._marks = np.empty(size, np.uint8)
 
     def __call__(self, layers: LayerPair, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
-        """Supersample the edges of a picture (float32 or unsigned integers) that was blended of layers by a rule.
+        """Supersample the edges of a picture (float32 or unsigned integers) that was blended by a rule.
 
-        It sets in with the rule's occlusion strength. At the ends of the way nothing changes: these are the
-        photographs.
+        It sets in with the rule's occlusion strength: the ends of the way are the photographs.
         """
         height, _ = self.size
         share, scalars, quantization = np.float32(rule.occlusion_strength), kernel_rule(rule), quantization_for(out)

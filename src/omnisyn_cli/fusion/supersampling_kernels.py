@@ -16,10 +16,9 @@ SKIP_COLUMNS = 64  # pixels that are skipped together if none of them is marked:
 def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, end):
     """Mark pixels of rows ``begin`` to ``end`` beside a depth discontinuity of either layer, if it is visible.
 
-    ``first``, ``second``: ``(height, width)`` inverse depths, negative where nothing is seen. ``picture``: ``(height,
-    width, 3)`` the blend of both, times ``scale`` in levels of 8 bits, of which some channel has to vary by
-    ``min_contrast`` over 3x3 pixels. ``marks``: ``(height, width)`` uint8, written: bits :data:`FIRST_LAYER_EDGE` and
-    :data:`SECOND_LAYER_EDGE`.
+    ``first``, ``second``: inverse depths, negative where nothing is seen. Some channel of their blend ``picture``,
+    times ``scale`` in levels of 8 bits, has to vary by ``min_contrast`` over 3x3 pixels. ``marks``, uint8, written:
+    bits :data:`FIRST_LAYER_EDGE` and :data:`SECOND_LAYER_EDGE`.
     """
     height, width = marks.shape
     for row in range(begin, end):
@@ -89,8 +88,7 @@ def _has_contrast(picture, scale, min_contrast, above, below, col):
 def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a):
     """List the marked pixels of some rows as in :class:`omnisyn_cli.types.EdgePixels`; returns how many, with padding.
 
-    ``tile_begins`` ``(rows, tiles + 1)``, ``cols`` with space for all, and ``sin_a``, ``cos_a`` of the samples are
-    written. ``double_tables``: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size.
+    All but ``marks`` and the tables, those of a picture of twice the size, is written; ``cols`` has space for all.
     """
     count, width = 0, marks.shape[1]
     for row in range(len(tile_begins)):
@@ -121,8 +119,7 @@ def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a)
 def prefill_visibility(marks, mark, rho, edge_pixels):
     """Write the sample depths that need no rasterising: away from a layer's own edges they lie on a local plane.
 
-    ``mark`` is the bit of this layer's edges; samples of such pixels are left to the rasteriser. ``rho`` is its inverse
-    depth ``(height, width)``. Of ``edge_pixels``, ``unknown_counts`` and ``inverse_depth`` are written.
+    ``mark`` is the bit of its edges, left to the rasteriser; ``rho`` its inverse depth. Written: counts and depths.
     """
     height, width = marks.shape
     top, cols, tile_begins = edge_pixels.top, edge_pixels.cols, edge_pixels.tile_begins

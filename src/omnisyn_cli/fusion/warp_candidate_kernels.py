@@ -69,8 +69,7 @@ def hypothesis_rows(hypothesis, weight, top, height, points):
 def accumulate_candidate(weight, colour, top, height, total):
     """Add a candidate to a weighted sum of rows of a frame of ``height`` rows, from ``top`` on.
 
-    ``weight`` ``(rows, cols)`` is read bilinearly, across the seam. Of ``colour`` ``(rows, width, 4)`` alpha is a
-    factor of the weight. ``total`` ``(rows, width, 4)`` has weighted RGB and weight.
+    ``weight`` is read bilinearly, across the seam, times alpha of ``colour``; ``total`` has weighted RGB and weight.
     """
     width, cols, half = total.shape[1], weight.shape[1], np.float32(0.5)
     step = np.float32(cols / width)
@@ -146,8 +145,7 @@ def _add_candidates(arrays, row, col, share, values):
 def average_candidates(layer_colours, layer_points, arrays, channels, begin, end):
     """All channels of :mod:`omnisyn_cli.fusion.warp_candidates` for some of their rows: means over blocks of pixels.
 
-    ``layer_colours``: ``(rows, cols, 3)`` of both layers. ``layer_points``: ``(2, rows, cols)`` inverse depths; where
-    they are negative nothing counts. ``channels``: ``(CANDIDATE_CHANNELS, height, width)``, written.
+    ``layer_points``, ``(2, rows, cols)``: inverse depths; nothing counts where negative. ``channels`` are written.
     """
     scale = layer_points.shape[1] // channels.shape[1]
     share, values = np.float32(1.0 / (scale * scale)), empty(len(channels), np.float32)

@@ -76,8 +76,8 @@ class WarpCandidates:
     def mix_in(self, weights: Float32[np.ndarray, "4 height width"], picture: Picture, threads: int | None) -> None:
         """Blend the candidates into a picture, float32 or unsigned integers.
 
-        The weights are of the first and of the second photograph at the farthest hypothesis, then at the nearest, at
-        any size; what they leave of 1 is the picture's own weight.
+        Weights are of both photographs at the farthest hypothesis, then at the nearest, of any size; the picture has
+        the rest.
         """
         height, quantization = len(picture), quantization_for(picture)
         weights = weights * np.clip(weights / MIN_CANDIDATE_WEIGHT - np.float32(1.0), 0.0, 1.0)
@@ -116,11 +116,7 @@ def make_warp_candidates(
     first: LayerArrays, second: LayerArrays, source_samplers: tuple[SourceSampler, SourceSampler], baseline: float,
     threads: int | None,
 ) -> WarpCandidates:  # fmt: skip
-    """Sample both photographs at all hypotheses.
-
-    The layers have :data:`CANDIDATE_SCALE` times the size of the network's input; ``baseline`` is the distance of both
-    views in the unit of depth.
-    """
+    """Sample both photographs, ``baseline`` apart, at all hypotheses, in layers at :data:`CANDIDATE_SCALE`."""
     hypotheses, colours = depth_hypotheses(first, second), (first.colour, second.colour)
     # In the order of CandidateArrays: each layer's surface in the other view, then both views at both hypotheses.
     points = [*map(_layer_points, (first, second)), *hypotheses.repeat(2, axis=0)]

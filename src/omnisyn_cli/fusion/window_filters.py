@@ -14,10 +14,7 @@ Array = Any  # numpy.ndarray or torch.Tensor
 
 
 def dilate(values: Num[Array, "rows cols *channels"], radius: int) -> Num[Array, "rows cols *channels"]:
-    """The maximum over a window of ``2·radius + 1`` rows and columns; rows beyond a pole do not count.
-
-    Integers have to be below 2^53.
-    """
+    """The maximum over ``2·radius + 1`` rows and columns, none beyond a pole; integers below 2^53."""
     if is_numpy_array(values):
         # OpenCV dilates no wide integers, and float64 holds these exactly.
         known = values.astype(np.float64) if values.dtype.kind == "i" else values
@@ -58,10 +55,7 @@ def _combine_windows(
 
 
 def _combine_rows(combine: Callable[[Array, Array], Array], values: Array, count: int) -> Array:
-    """``count`` successive rows combined, from each row on.
-
-    Windows are doubled, so this takes log2(count) steps. Every row counts once, as sums need.
-    """
+    """``count`` successive rows, from each row on, each counted once: windows double in log2(count) steps."""
     if count == 1:
         return values
     half = _combine_rows(combine, values, count // 2)

@@ -73,8 +73,7 @@ def rotation_from_quaternion(quaternion: Float[np.ndarray, "*batch 4"]) -> Float
 def quaternion_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
     """Unit quaternion ``[w, x, y, z]`` with w >= 0 of a rotation matrix.
 
-    The four columns of the symmetric matrix ``4·q·qᵀ`` are all multiples of q; the longest one is used, so no
-    rotation angle is special.
+    The columns of the symmetric ``4·q·qᵀ`` are multiples of q; the longest is used, so no rotation angle is special.
     """
     m = rotation
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -137,12 +136,10 @@ def interpolate_pose(first: Pose, second: Pose, t: float) -> Pose:
 
 
 def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0) -> Float[np.ndarray, "3 3"]:
-    """World-from-camera rotation of a compass heading of the image centre (all radians).
+    """World-from-camera rotation of a compass heading of the image centre (all radians); x east, y up, −z north.
 
-    The world has x east, y up, −z north. ``heading`` is clockwise from north seen from above, ``pitch`` lifts the
-    image centre above the horizon, ``roll`` turns the camera clockwise about its own line of sight.
-
-    Source: GPano XMP ``PoseHeadingDegrees``, ``PosePitchDegrees``, ``PoseRollDegrees``.
+    ``heading`` is clockwise from north seen from above, ``pitch`` lifts the centre above the horizon, ``roll`` turns
+    the camera clockwise about its line of sight. Source: GPano XMP ``PoseHeadingDegrees`` and its like.
     """
     turn = rotation_from_rotation_vector
     about_up = turn(np.array([0.0, -heading, 0.0]))
@@ -169,10 +166,8 @@ def enu_from_geographic(
 ) -> Float[np.ndarray, " 3"]:
     """East, north and up in metres of a WGS84 position seen from ``origin`` (latitude, longitude, altitude).
 
-    Latitudes and longitudes are degrees, altitudes metres. Goes through earth-centred coordinates, so that it holds at
-    the poles and across the date line.
-
-    Source: WGS84; ECEF to ENU as in the Navipedia article "Transformations between ECEF and ENU coordinates".
+    Degrees and metres; earth-centred on the way, so that it holds at the poles and across the date line. Source: WGS84;
+    the Navipedia article "Transformations between ECEF and ENU coordinates".
     """
     offset = _ecef(latitude, longitude, altitude) - _ecef(*origin)
     phi, lam = math.radians(origin[0]), math.radians(origin[1])

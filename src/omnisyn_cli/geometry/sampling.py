@@ -20,10 +20,7 @@ CATMULL_ROM_SLOPE = -0.5  # slope parameter of Keys' cubic convolution that repr
 
 
 def wrap_pixel(row: Array, col: Array, height: int, width: int) -> tuple[Array, Array]:
-    """Integer indices brought into the image: columns wrap, rows beyond a pole come back half a turn away.
-
-    Rows may lie up to one image height outside.
-    """
+    """Indices in the image: columns wrap, rows (up to a height outside) come back over the pole half a turn away."""
     xp = array_namespace(row, col)
     inside, is_beyond = _inside(xp, row, height)
     return inside, xp.where(is_beyond, col + width // 2, col) % width
@@ -36,10 +33,7 @@ def _inside(xp: Any, row: Array, height: int) -> tuple[Array, Array]:
 
 
 def add_border(image: Shaped[np.ndarray, "height width *channels"], border: int) -> Shaped[np.ndarray, "rows cols ..."]:
-    """The image with ``border`` more rows and columns on every side, as the sphere goes on there; a copy.
-
-    It is at least ``border`` pixels high.
-    """
+    """A copy with ``border`` more rows and columns on all sides, as the sphere goes on; at most the image's height."""
     height, width = image.shape[:2]
     row, col = np.arange(-border, height + border)[:, None], np.arange(-border, width + border)[None, :]
     return np.ascontiguousarray(image[wrap_pixel(row, col, height, width)])
@@ -65,10 +59,7 @@ def filter_across_seam(
 def window_max(
     image: Shaped[np.ndarray, "height width *channels"], reach: int
 ) -> Shaped[np.ndarray, "height width ..."]:
-    """The greatest value at most ``reach`` rows and columns away (dilation by a square).
-
-    Columns wrap; beyond the poles there is nothing. Types are those that OpenCV dilates: not bool, no wide integers.
-    """
+    """The greatest value within ``reach`` (a square); columns wrap. Types that OpenCV dilates: no bool or wide ints."""
     import cv2  # loaded only here: a plan needs this module, and no more
 
     return filter_across_seam(partial(cv2.dilate, kernel=_square(reach)), image, reach)
@@ -132,10 +123,7 @@ def sample_bicubic(image: Float[Array, "height width *channels"], direction: Flo
 def rotated_directions(
     size: tuple[int, int], source_rotation: Float[np.ndarray, "3 3"], target_rotation: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "height width 3"]:
-    """Unit vectors through the pixels of a target camera of a ``size``, in the frame of a source panorama.
-
-    Both rotations are world-from-camera.
-    """
+    """Unit rays of a target camera of a ``size`` in a source panorama's frame; rotations are world-from-camera."""
     return np.asarray(pixel_directions(*size) @ (source_rotation.T @ target_rotation).T)
 
 

@@ -45,10 +45,7 @@ def angles_to_pixel(azimuth: Array, polar_angle: Array, size: tuple[int, int]) -
 
 
 def pixel_scale(size: tuple[int, int]) -> tuple[float, float, float, float]:
-    """:func:`angles_to_pixel` as numbers for kernels: row scale, row offset, column scale, column offset.
-
-    ``row = polar_angle · row_scale + row_offset``, ``col = azimuth · col_scale + col_offset``.
-    """
+    """:func:`angles_to_pixel` for kernels: scale and offset of rows (by polar angle), then of columns (by azimuth)."""
     row_at_zero, col_at_zero = angles_to_pixel(0.0, 0.0, size)
     row_at_one, col_at_one = angles_to_pixel(1.0, 1.0, size)
     return row_at_one - row_at_zero, row_at_zero, col_at_one - col_at_zero, col_at_zero
@@ -65,8 +62,7 @@ def angles_to_direction(azimuth: Array, polar_angle: Array) -> Array:
 def direction_to_angles(direction: Float[Array, "*batch 3"]) -> tuple[Array, Array]:
     """Azimuth in (−π, π] and polar angle in [0, π], in radians, of vectors of any length.
 
-    The polar angle comes from ``atan2``: exact at the poles, where an arccos would lose half of its digits.
-    At a pole the azimuth is 0; of a zero vector both angles are those of ``atan2(0, 0)``.
+    The latter by ``atan2``, exact at the poles, where the azimuth is 0; of a zero vector both are ``atan2(0, 0)``.
     """
     xp = array_namespace(direction)
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
@@ -96,12 +92,7 @@ def pixel_directions(height: int, width: int) -> Float[np.ndarray, "height width
 
 
 def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The separable parts of :func:`pixel_directions`: sin and cos of polar angle per row, of azimuth per column.
-
-    Kernels build ``(sin_polar·sin_azimuth, cos_polar, −sin_polar·cos_azimuth)`` from them.
-
-    Float64: ``sin_polar (height,), cos_polar (height,), sin_azimuth (width,), cos_azimuth (width,)``.
-    """
+    """Float64 parts of :func:`pixel_directions`: sin and cos of polar angle per row, of azimuth per column."""
     azimuth, polar_angle = pixel_to_angles(np.arange(height), np.arange(width), (height, width))
     return np.sin(polar_angle), np.cos(polar_angle), np.sin(azimuth), np.cos(azimuth)
 
@@ -135,10 +126,8 @@ def normalize(vector: Float[Array, "*batch 3"]) -> Array:
 def linearised_arccos(cosine: Array, cap: float = LINEARISED_CAP) -> Array:
     """Arccos whose slope stays bounded: within ``cap`` radians of 0 and π it goes on as a straight line.
 
-    ``arccos`` has an infinite slope at ±1, so a rendering loss sends infinite gradients through the poles. Beyond
-    ``cos(cap)`` the curve is replaced by the chord from there to the pole: continuous, exact at 0, ``cap`` and
-    ``π − cap``, with a finite slope of constant (negative) sign. Values outside [−1, 1] continue along the line.
-
+    The infinite slope at ±1 would send infinite gradients through the poles. The chord from ``cos(cap)`` to the pole is
+    continuous, exact at 0, ``cap`` and ``π − cap``, of one (negative) sign; values outside [−1, 1] continue along it.
     Source: OmniSyn, section 3.5.2.
     """
     xp = array_namespace(cosine)

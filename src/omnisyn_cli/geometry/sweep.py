@@ -39,13 +39,10 @@ AGREEMENT_RADIUS = 1 / 128
 
 
 def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
-    """Both cameras turned so that +y points from the first to the second and both share one orientation.
+    """Both cameras turned so that +y points from the first to the second, in one orientation; and metres between.
 
     The image centre looks as nearly straight down as the baseline lets it, so the ground lies at azimuth 0 and the sky
-    at the seam; with a vertical baseline it stays near the horizon.
-
-    Returns:
-        ``(first, second, baseline)``: the turned world-from-camera poses (same positions) and the distance in metres.
+    at the seam; with a vertical baseline it stays near the horizon. Positions stay.
     """
     right, along, baseline = _right_and_along(first, second)
     rotation = np.stack([right, along, np.cross(right, along)], axis=-1)
@@ -53,10 +50,7 @@ def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
 
 
 def forward_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
-    """Both cameras turned so that −z points from the first to the second; otherwise as :func:`epipole_frame`.
-
-    Source: OmniSyn, section 3.2 (there for horizontal baselines).
-    """
+    """:func:`epipole_frame`, but −z points to the second. Source: OmniSyn, section 3.2 (horizontal baselines there)."""
     right, along, baseline = _right_and_along(first, second)
     rotation = np.stack([right, np.cross(right, along), -along], axis=-1)
     return Pose(rotation, first.position), Pose(rotation, second.position), baseline
@@ -75,8 +69,7 @@ def swap_cameras_in_forward_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped
 def parallax_from_inverse_depth(polar_angle: Array, inverse_depth: Array, baseline: float = 1.0) -> Array:
     """How far down its meridian a point moves from the first image to the second, radians in [0, π − polar_angle].
 
-    ``polar_angle`` is the angle between the baseline (metres) and the direction in the first camera; an inverse depth
-    (1/metre, as seen from the first camera) of 0 is infinitely far.
+    ``polar_angle`` is between the baseline (metres) and the first camera's ray; inverse depth 0 is infinitely far.
     """
     xp = array_namespace(polar_angle, inverse_depth)
     shift = inverse_depth * baseline
@@ -100,11 +93,10 @@ def inverse_depth_from_parallax(polar_angle: Array, parallax: Array, baseline: f
 def sweep_directions(
     directions: Float[Array, "*batch 3"], inverse_depth: Array, second_from_first: Pose
 ) -> Float[Array, "*batch 3"]:
-    """Where points on a sphere around the first camera are seen by the second, not normalised.
+    """Where the second camera sees points on a sphere around the first, not normalised: ``R·d + ρ·t``.
 
-    The homogeneous form ``R·d + ρ·t``: nothing divides, and ρ = 0 is the sphere at infinity.
-
-    ``directions`` are unit vectors of the first camera; inverse depths (1/metre) broadcast against their first axes.
+    ``directions`` are unit vectors of the first; inverse depths (1/metre, 0 at infinity) broadcast against their first
+    axes.
     """
     xp = array_namespace(directions, inverse_depth)
     rotation = xp.asarray(second_from_first.rotation, dtype=directions.dtype)
@@ -122,10 +114,7 @@ def motion_in_baselines(first: Pose, second: Pose) -> Pose:
 def reproject_to_second(
     directions: Float[np.ndarray, "*batch 3"], inverse_depth: Float[np.ndarray, "*batch"], second_from_first: Pose
 ) -> tuple[Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch"]]:
-    """Where the second camera sees points of the first (:func:`sweep_directions`), and their inverse depth from there.
-
-    Both inverse depths are in the inverse of the unit of ``second_from_first``.
-    """
+    """:func:`sweep_directions`, and the inverse depth from there, both in the unit of ``second_from_first``."""
     exact = inverse_depth.astype(np.float64)
     moved = sweep_directions(directions, exact, second_from_first)
     return moved, exact / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
@@ -136,9 +125,7 @@ def free_space_agreement(
 ) -> Float[np.ndarray, "height width"]:
     """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
 
-    Where the other camera sees a nearer surface this one is only occluded, which is no contradiction.
-
-    Inverse depths, each in its own panorama's frame, and the translation of ``other_from_this`` are in baselines.
+    To be occluded there is no contradiction. Inverse depths, each in its own frame, and translation are in baselines.
     """
     expected, seen = _expected_and_seen(inverse_depth, other, other_from_this)
     too_far = np.maximum(expected - seen - FREE_SPACE_SLACK, 0.0) / np.maximum(expected, FREE_SPACE_SLACK)
@@ -150,10 +137,8 @@ def neighbourhood_agreement(
 ) -> Float[np.ndarray, "height width"]:
     """1 where both estimates agree around a pixel, ½ where they differ by :data:`HALF_CONFIDENCE_DISAGREEMENT` there.
 
-    A pixel that agrees amid pixels that do not often agrees by chance. An occluded surface is not contradicted, but not
-    confirmed either: it counts as :data:`SAME_SURFACE_TOLERANCE` apart.
-
-    Frames and units are those of :func:`free_space_agreement`.
+    A pixel that agrees amid others that do not often does by chance. An occluded surface is not confirmed: it counts as
+    :data:`SAME_SURFACE_TOLERANCE` apart. Frames and units are those of :func:`free_space_agreement`.
     """
     expected, seen = _expected_and_seen(inverse_depth, other, other_from_this)
     difference = (expected - seen) / np.maximum(np.maximum(expected, seen), MIN_RELATIVE_SCALE)

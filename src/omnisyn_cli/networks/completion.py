@@ -65,10 +65,7 @@ class CompletionPrediction(DepthPrediction):
 
 
 class SphereAttention(nn.Module):
-    """A pre-norm transformer layer on the pixels of a coarse map, with a bias by the angle between them.
-
-    The channels of the map are a multiple of ``heads``.
-    """
+    """A pre-norm transformer layer on coarse pixels, biased by their angle; channels are a multiple of ``heads``."""
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
@@ -114,8 +111,7 @@ def reliable_mask(channels: Float[Tensor, "batch channels height width"]) -> Flo
 def _directions(x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "n 3"]:
     """Unit vectors of all pixels, row by row.
 
-    Rows and columns are counted with sums, as fractions of a picture of one pixel: a size that is written as a number
-    would be the only one that an exported network takes.
+    Rows and columns are counted with sums: an exported network would take a size only that is written as a number.
     """
     one = torch.ones_like(at_least_single(x[0, 0]))
     row, col = ((one.cumsum(axis) - 0.5) / one.sum(axis, keepdim=True) - 0.5 for axis in (0, 1))

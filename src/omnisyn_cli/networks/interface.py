@@ -58,11 +58,7 @@ class Network(nn.Module):
 
 
 class DepthPrediction:
-    """The prediction of a depth network for a panorama.
-
-    Most predict √(inverse depth × baseline), slightly negative at infinity, and a ``confidence_logit``. Others override
-    the methods.
-    """
+    """A depth network's answer: √(inverse depth × baseline), below zero at infinity, and ``confidence_logit``."""
 
     confidence_logit: Tensor
 

@@ -37,9 +37,9 @@ LEAK = 0.01  # Slope of the LeakyReLU below zero
 class UNet(nn.Module):
     """Blocks downwards with average pooling, and upwards with linear enlargement and skips; of images or volumes.
 
-    As in the authors' network the first block on the way up has no skip, and every block there has half the channels of
-    the level that it comes from. ``widths`` are channels of the levels downwards; the last is the bottleneck. The way
-    up ends at level ``finest``; where it is 0 there is one output channel.
+    As in the authors' network the first block on the way up has no skip, and blocks there have half the channels of the
+    level that they come from. ``widths`` are channels downwards, the bottleneck last; up to level ``finest``, at 0 with
+    one channel.
     """
 
     def __init__(self, inputs: int, widths: tuple[int, ...], *, finest: int, volumetric: bool = False) -> None:
@@ -78,8 +78,8 @@ class UNet(nn.Module):
 class Block(nn.Module):
     """Two 3×3 (or 3×3×3) convolutions with LeakyReLU; columns wrap, the other sides see zeros.
 
-    With ``has_row`` the row is one more channel of the input; with ``enlarge`` that becomes twice as large first. A
-    slope ``leak`` of 1 leaves both convolutions linear.
+    ``has_row`` adds a channel, ``enlarge`` doubles the size first, a slope ``leak`` of 1 leaves both convolutions
+    linear.
     """
 
     def __init__(
@@ -201,11 +201,10 @@ def sphere_inverse_depths(config: PaperConfig) -> Float[np.ndarray, " levels"]:
 def sweep_grid(
     inverse_depths: Float[Tensor, " levels"], size: tuple[int, int]
 ) -> Float[Tensor, "levels height width 2"]:
-    """Where the second camera sees the points of each sphere, for ``grid_sample`` with aligned corners.
+    """Where the second camera, one baseline ahead, sees points of spheres, for ``grid_sample`` with aligned corners.
 
-    The second camera stands one baseline straight ahead. The coordinates are those of features of a size, with a column
-    more at each side and a row more at each pole (:func:`sweep_volume` adds them), so that no sample falls into a gap
-    at the seam. The file of an exported network keeps these steps where the inverse depths depend on what it is shown.
+    Coordinates are those of features of a size, with a column more at each side and a row more at each pole, so that no
+    sample falls into a gap. An exported network keeps these steps where the inverse depths depend on what it is shown.
     """
     height, width = size
     zero = 0.0 * inverse_depths[0]

@@ -31,10 +31,7 @@ class RefinementUNetConfig(NetworkConfig):
 
 
 class Hourglass(nn.Module):
-    """Residual blocks down and up again, with skips that are added.
-
-    ``widths`` are channels from fine to coarse; each map is half as high and wide as the one before.
-    """
+    """Residual blocks down and up, skips added; ``widths`` from fine to coarse, each map half the size of the last."""
 
     def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
         super().__init__()

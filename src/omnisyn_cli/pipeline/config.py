@@ -19,10 +19,7 @@ DEVICES = ("auto", "cpu", "cuda")  # that networks run on
 
 
 def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:
-    """Height and width of frames of a size such as ``2048x1024``, or of both numbers in either order.
-
-    Raises ValueError: it is no size that is twice as wide as high.
-    """
+    """Height and width of ``2048x1024``, or of both numbers in either order; ValueError: not twice as wide as high."""
     numbers = size.lower().split("x")[::-1] if isinstance(size, str) else [str(number) for number in sorted(size)]
     height, width = map(int, numbers) if len(numbers) == 2 and all(map(str.isdecimal, numbers)) else (0, 0)
     if height == 0 or width != 2 * height:

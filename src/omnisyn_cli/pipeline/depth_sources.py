@@ -187,8 +187,7 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
 def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | None = None) -> DepthEstimator:
     """An estimator that serves any number of pairs; its networks run on ``auto``, ``cpu`` or ``cuda``.
 
-    Raises ValueError: an unknown source, or no model where one is needed; InputError: the model cannot be found or
-    loaded, or not on that device.
+    ValueError: an unknown source, or no model; InputError: it cannot be found or loaded, or not on that device.
     """
 
     def open_network(name: str | None, *, keeps_memory: bool = True) -> Any:

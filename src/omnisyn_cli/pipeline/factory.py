@@ -26,9 +26,7 @@ def make_method(
 ) -> Method:
     """What makes frames of a size, (height, width), by a config; the clock collects seconds by stage.
 
-    For methods that draw surfaces an estimator finds depth in place of the config's, and a fuser joins renderings.
-
-    Raises InputError: a network cannot be found or loaded, or there is no such device.
+    Surfaces may have another estimator and fuser. InputError: a network cannot be loaded, or there is no such device.
     """
     from omnisyn_cli.render.mesh import Cut
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions

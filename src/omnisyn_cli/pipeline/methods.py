@@ -72,10 +72,7 @@ def _make_synsin(parts: MethodParts, *, sources: int) -> Method:
 
 
 def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:
-    """SynSin's networks that are installed.
-
-    Raises InputError: one is not there, is of another kind, or cannot be used on that device.
-    """
+    """SynSin's installed networks; InputError: one is missing, of another kind, or unusable on that device."""
     from omnisyn_cli.baselines.synsin import SynSinSessions
     from omnisyn_cli.runtime.session import open_model
 

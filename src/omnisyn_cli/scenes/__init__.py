@@ -32,8 +32,7 @@ GENERATORS: Mapping[str, Callable[[int], Scene]] = {"street": street, "room": ro
 def generate_scene(kind: str, seed: int, photos: Photos | None = None) -> Scene:
     """Generate a scene of a kind of :data:`GENERATORS`; equal arguments give equal scenes.
 
-    ``photos`` replace some of the materials; the shapes are the same with them and without. ValueError: there is no
-    such kind, or the seed is negative.
+    ``photos`` replace some materials and change no shape. ValueError: there is no such kind, or the seed is negative.
     """
     if kind not in GENERATORS or seed < 0:
         raise ValueError(f"expected a kind of {', '.join(GENERATORS)} and a seed from 0 on, got {kind!r} and {seed}")

@@ -29,8 +29,8 @@ def town_house(
 ) -> None:
     """Add a house of several floors with windows, ledges, balconies, shop signs and awnings.
 
-    ``base`` is the middle of the foot of the front, which faces −x where ``side`` is 1. Only a ``detailed`` house has
-    what is seen from near by. With ``facing_z`` the front looks along z, to close a street.
+    ``base``: middle of the front's foot, facing −x at ``side`` 1, or z if ``facing_z``; ``detailed`` has what is seen
+    near by.
     """
     rng = build.rng
     floor = rng.uniform(2.8, 3.6)

@@ -35,10 +35,7 @@ OccupiedDisks = list[tuple[float, float, float]]
 def furnish(
     build: SceneBuilder, cell: Cell, use: str, openings: Openings, extras: Sequence[FurnitureMaker] = ()
 ) -> None:
-    """Line the walls of a room ("home" or "office") and fill its floor; openings stay clear, and nothing overlaps.
-
-    ``extras`` are put on the floor where there is room.
-    """
+    """Line the walls of a room ("home" or "office") and fill its floor, ``extras`` where there is room; no overlaps."""
     rng = build.rng
     occupied: OccupiedDisks = []
     size = (cell.high[0] - cell.low[0], cell.high[1] - cell.low[1])

@@ -75,8 +75,7 @@ def render_panorama(
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
     """Render one panorama: RGB in [0, 1], and metres along the ray of each pixel's centre, inf where there is only sky.
 
-    ``pose`` is world from camera and ``size`` (height, width). A pixel has ``supersample``² colour samples. The result
-    does not depend on ``threads`` (None: one per core).
+    Arguments as of :func:`omnisyn_cli.scenes.mesh.render.render`.
     """
     positions = pose.position[None]
     images, depths = render_views(scene, pose.rotation, positions, size, supersample=supersample, threads=threads)
@@ -102,10 +101,7 @@ def render_views(
 def trace_rays(
     scene: Scene, position: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Cast single rays (unit vectors) from a position.
-
-    Returns metres (inf for the sky) and what is hit: the index of a shape, −1 for the sky.
-    """
+    """Metres along unit vectors from a position (inf: sky), and the index of the shape that is hit (−1: sky)."""
     drawn = _drawn(scene)
     hits = drawn.caster.hits(position[None], directions)
     return hits.distance, np.where(hits.is_hit, drawn.owner[hits.face], -1)

@@ -37,10 +37,9 @@ def sample_path(
 ) -> list[Pose]:
     """Draw a straight path of cameras that keep clear of everything; the first and the last pose are its ends.
 
-    Equal seeds give equal paths. The frames, at least 1, are evenly spaced; their heading is random. ``baseline`` is
-    metres from the first to the last; None = what is usual in the scene. ``vertical`` is the share of paths that go
-    straight up, ``tilt`` the standard deviation in radians of each frame's pitch and roll; above 0 every frame also
-    gets its own heading. ValueError: there is no room for such a path.
+    Equal seeds give equal paths; frames are evenly spaced, with one random heading. ``baseline`` is the metres between
+    the ends; None = what is usual. ``vertical`` is the share of paths straight up, ``tilt`` the standard deviation
+    (radians) of each frame's pitch and roll; above 0 each has its own heading. ValueError: there is no room.
     """
     if frames < 1:
         raise ValueError(f"expected at least 1 frame, got {frames}")

@@ -20,10 +20,7 @@ SHADOW_RAY_OFFSET = 1e-3  # Metres between a surface and the start of its shadow
 
 
 class Surfaces(NamedTuple):
-    """What kernels know of the triangles of a scene: its shapes and materials, and the shape of each face.
-
-    For the axis of each face see :data:`omnisyn_cli.scenes.scene.UNIT_SHAPES`.
-    """
+    """Shapes, materials, and of each triangle its shape and axis (:data:`omnisyn_cli.scenes.scene.UNIT_SHAPES`)."""
 
     shapes: np.ndarray
     materials: np.ndarray
@@ -265,9 +262,9 @@ def _shade(scene, shape, axis, sun, ray, normal, sunlit, pixel):  # type: ignore
 def shade_rays(scene, sun, hits, normals, sunlit, pixel, colours):  # type: ignore[no-untyped-def]
     """Fill the colours, (n, 3) in [0, 1], of rays.
 
-    ``scene``: its ``(surfaces, photos, lighting, lamps)``. ``sun``: unit vector to the point of the sun that shines.
-    ``hits``: of all rays ``(points, directions, face, distance)``. Normals look towards the origins of the rays.
-    ``sunlit``: cosine under which each point sees the sun, 0 in the shadow. ``pixel``: radians between samples.
+    ``scene``: its ``(surfaces, photos, lighting, lamps)``; ``sun``: unit vector to its point that shines; ``hits``:
+    ``(points, directions, face, distance)`` of all rays. Normals look towards the origins. ``sunlit``: cosine under
+    which each point sees the sun, 0 in the shadow. ``pixel``: radians between samples.
     """
     points, directions, face, distance = hits
     surfaces, _, light, _ = scene

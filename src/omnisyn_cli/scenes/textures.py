@@ -15,11 +15,10 @@ from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noi
 
 
 class FacePoint(NamedTuple):
-    """A point on a face of a shape; lengths in metres.
+    """A point on a face of a shape; lengths in metres; for ``variation`` see PACKED_SHAPE.
 
-    ``u``, ``v``: place on the face: across, 0 in the middle, and up, 0 at the bottom; ``half_u``, ``half_v`` its half
-    sizes. ``x``, ``y``, ``z``: place in the shape's own frame. For ``variation`` see
-    :data:`omnisyn_cli.scenes.scene.PACKED_SHAPE`.
+    ``u``, ``v``: place across, 0 in the middle, and up, 0 at the bottom; ``half_u``, ``half_v``: half sizes of the
+    face; ``x``, ``y``, ``z``: place in the shape's own frame.
     """
 
     u: float

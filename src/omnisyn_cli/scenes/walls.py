@@ -107,8 +107,7 @@ def add_room_shell(
 ) -> None:  # fmt: skip
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
-    ``use`` is "home" or "office". The ceiling stops the light from above if it ``casts_shadow``. ``finish`` draws the
-    material of walls, as :func:`wall_finish` does.
+    ``use`` is "home" or "office"; the ceiling may cast a shadow; ``finish`` draws walls, as :func:`wall_finish` does.
     """
     rng = build.rng
     paint = finish(rng, use)
@@ -169,10 +168,7 @@ def _ceiling_lamp(build: SceneBuilder, cell: Cell) -> None:
 
 
 def wall_axes(cell: Cell, name: str, inset: float = 0.5 * SLAB_THICKNESS) -> tuple[float, float, float, bool]:
-    """Start and end along the wall, where what stands ``inset`` inside is across, and whether it runs along x.
-
-    Without an ``inset`` it is the middle of the wall's slabs.
-    """
+    """Start and end along a wall, where what is ``inset`` inside (slabs' middle) is across, whether it runs along x."""
     is_x = name in ("south", "north")
     along, across = (0, 1) if is_x else (1, 0)
     place = cell.low[across] + inset if name in ("west", "south") else cell.high[across] - inset

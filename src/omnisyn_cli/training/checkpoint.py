@@ -43,12 +43,7 @@ class FoundCheckpoint:
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write beside ``path``, then rename over it.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
-        OutputPathError: the folder cannot be made.
-    """
+    """Replace ``path`` when all is written. WriteError: no space, the former one stays; OutputPathError: no folder."""
     make_folder(path.parent, "a network that is trained")
     try:
         with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
@@ -65,19 +60,13 @@ def _reason(error: Exception) -> str:
 
 
 def compact(state: dict[str, Any]) -> dict[str, Any]:
-    """The averaged weights in half precision and what is known about them: an eighth of the checkpoint, to be kept.
-
-    It can be exported, and a run that starts from it goes on with these weights and a fresh optimiser.
-    """
+    """Averaged weights in half precision, an eighth of the checkpoint: to be kept, exported, or begun with anew."""
     average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
     return {key: state[key] for key in KEPT_KEYS if key in state} | {"average": average}
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """The state, on the CPU. Only tensors and plain values are accepted: a checkpoint cannot run code.
-
-    Raises InputError: no such file, or no checkpoint.
-    """
+    """The state, on the CPU; only tensors and plain values, so no code runs. InputError: no file, or no checkpoint."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
@@ -105,10 +94,7 @@ def of_this_version(path: Path) -> Iterator[None]:
 
 
 def load_state(path: Path) -> dict[str, Any]:
-    """A checkpoint, or one made of an ONNX file of a folder with a manifest.
-
-    Raises InputError: no such file, no checkpoint, or an ONNX file that the manifest beside it does not name.
-    """
+    """A checkpoint, or one made of an ONNX file that a manifest beside it names; InputError: neither is there."""
     if path.suffix != ".onnx":
         return load_checkpoint(path)
     entries = {entry.file: entry for entry in read_manifest(path.parent).values()}
@@ -139,10 +125,7 @@ def _kind(entry: ModelEntry) -> str:
 
 
 def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
-    """The averaged network of a checkpoint or of an exported file, and the checkpoint; its ``"kind"`` says what it is.
-
-    Raises InputError: no file, or no checkpoint of a known kind and of this version.
-    """
+    """The averaged network of a checkpoint or exported file, and its state; InputError: none, or another version's."""
     state = load_state(path)
     if state["kind"] not in TASKS:
         raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {state['kind']!r}")
@@ -154,10 +137,7 @@ def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
 
 
 def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
-    """The averaged network of one of these kinds in a checkpoint, joint or not.
-
-    Raises InputError: no checkpoint of this version, or it has none.
-    """
+    """The averaged network of one of these kinds in a checkpoint, joint or not; InputError: it has none."""
     held = parts_of(load_network(path)[0])
     found = [part for kind, part in held.items() if kind in kinds]
     if not found:

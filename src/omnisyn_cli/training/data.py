@@ -36,11 +36,10 @@ MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbour
 
 @dataclass(frozen=True)
 class Walk:
-    """Upright panoramas of one scene with one heading, along a straight line; any two of them are a stereo pair.
+    """Upright panoramas of one scene and heading along a straight line; any two of them are a stereo pair.
 
-    Some pairs were matched, both ways round, at a quarter of the size: what matching says of the first of two, turned
-    so that the other camera is ahead, see :mod:`omnisyn_cli.training.pair_matching`. Floats but for positions are
-    stored in half precision.
+    Some were matched, both ways round, at a quarter of the size, see :mod:`omnisyn_cli.training.pair_matching`. Floats
+    but for positions are stored in half precision.
     """
 
     images: UInt8[np.ndarray, "views height width 3"]
@@ -64,10 +63,7 @@ class Augmentation:
 
 
 def save_samples(path: Path, samples: Sequence[Any]) -> None:
-    """Write dataclasses of arrays and numbers, whole or not at all; a kill leaves no partial file under the name.
-
-    Raises WriteError: the disk is full, or the folder went away; OutputPathError: the folder cannot be made.
-    """
+    """Write dataclasses of arrays and numbers, whole or not at all. WriteError: full; OutputPathError: no folder."""
     arrays = {f"{name}_{k}": value for k, sample in enumerate(samples) for name, value in vars(sample).items()}
     make_folder(path.parent, "a pool")
     with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
@@ -77,10 +73,7 @@ def save_samples(path: Path, samples: Sequence[Any]) -> None:
 def load_samples(
     path: Path, kind: type[Sample], which: int | None = None, dtype: type[np.floating] = np.float32
 ) -> list[Sample]:
-    """All samples of a file, or the one at ``which``, counted on beyond the last from the first again.
-
-    What was stored in half precision has ``dtype``.
-    """
+    """All samples of a file, or that at ``which``, counted on from the first; half precision becomes ``dtype``."""
     names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
     with np.load(path) as file:
         count = len(file.files) // len(names)
@@ -97,10 +90,7 @@ def load_walk(path: Path) -> Walk:
 
 
 def draw_walk(pool: list[Path], rng: np.random.Generator, height: int = 1, least_views: int = 2) -> Walk:
-    """A random walk.
-
-    Raises InputError: its rows are no multiple of ``height``, or it has fewer views.
-    """
+    """A random walk; InputError: its rows are no multiple of ``height``, or it has fewer views."""
     path = pool[rng.integers(len(pool))]
     walk = load_walk(path)
     views, rows = walk.images.shape[:2]
@@ -134,10 +124,7 @@ def stacked(samples: Sequence[Sample]) -> Sample:
 
 
 def list_scene_files(folder: Path, maker: str = "pool") -> list[Path]:
-    """All scenes of a pool in a fixed order; such pools are made by the command ``maker``.
-
-    Raises InputError: there are none, they are of another kind, or the first one is damaged.
-    """
+    """All scenes of a pool that ``maker`` made, in order; InputError: none, of another kind, or the first damaged."""
     command, paths = f"`omnisyn train {maker}`", scene_files(folder)
     if not paths:
         raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; make one with {command}")
@@ -189,8 +176,7 @@ def reduced(image: Shaped[np.ndarray, "rows cols 3"], size: tuple[int, int]) -> 
 def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
     """Values at the centres of the blocks that :func:`reduced` averages over.
 
-    The centre of an even block lies between four pixels: it has their mean if they are of one surface, else the
-    nearest of them, because a mean of two surfaces lies on neither.
+    Of an even block: the mean of four pixels if they are of one surface, else the nearest of them.
     """
     stride = inverse_depth.shape[0] // size[0]
     sides = ((stride - 1) // 2, stride // 2)

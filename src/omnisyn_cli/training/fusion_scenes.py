@@ -152,10 +152,7 @@ def downsample_channels_first(
 
 
 def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Path | None:
-    """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided.
-
-    Raises InputError: its walk has pictures of another size.
-    """
+    """Render a seed's scene into a pool; None: no room, or nothing to decide. InputError: its walk has another size."""
     rng = np.random.default_rng([23, seed])
     run_config = replace(PRESETS[config.preset].config, depth=_depth_source(rng.random(), config))
     pair = _pair_of_walk(seed, rng, config) if config.walks else _pair_of_scene(seed, rng, config)
@@ -237,11 +234,10 @@ def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) 
 
 
 def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:
-    """Windows of random places of random scenes, varied at random in ways that change nothing about the geometry.
+    """Windows of random places of random scenes, mirrored, lit and tinted otherwise, and with views that change places.
 
-    They are mirrored, lit and tinted otherwise, and the views change places. A window has all rows and a quarter of the
-    columns; it lies, across the seam or not, preferably where the views contradict each other. All have the sizes of
-    the first that is drawn: a pool may hold scenes of several.
+    A window has all rows and a quarter of the columns, preferably where the views contradict each other. All have the
+    sizes of the first that is drawn: a pool may hold scenes of several.
     """
     drawn: list[FusionBatch] = []
     while len(drawn) < batch:

@@ -60,10 +60,10 @@ def draw_guided(
     pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], max_sqrt_inv_depth: float,
     augmentation: Augmentation | None = None, guided: float = 0.0,
 ) -> GuidedBatch:  # fmt: skip
-    """Random pairs of random walks, some of them, as asked for, with guidance: what matching says.
+    """Random pairs of random walks, a share ``guided`` of them with what matching says.
 
-    ``size`` is a whole fraction of the pool's; InputError: it is none. Targets are clipped to ``max_sqrt_inv_depth``.
-    Without an augmentation nothing is varied, and poses are exact.
+    ``size`` is a whole fraction of the pool's, else InputError. Targets are clipped; nothing varies without
+    augmentation.
     """
     walks = (data.draw_walk(pool, rng, size[0]) for _ in range(pairs))
     return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
@@ -203,11 +203,9 @@ def _gradient_error(error: Tensor, known: Tensor) -> Tensor:
 def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, float]:
     """Figures of one pair, by solid angle; NaN for the bins that it is not of.
 
-    Returns:
-        ``error``, the mean absolute error of √(inverse depth × baseline); ``delta_25`` and ``delta_5``, the shares
-        whose depth is within a factor of 1.25 and 1.05. The same of groups: by baseline over median depth
-        (``error_wide``, …), for meshes (``error_mesh``, …) and for pairs with guidance (``error_guided``, …).
-        ``brier``, the mean of (confidence − (within a factor of 1.1))².
+    Mean absolute ``error`` of √(inverse depth × baseline); shares within a factor of 1.25 (``delta_25``) and 1.05; the
+    same by relative baseline (``error_wide``, …), of meshes and with guidance (``error_mesh``, ``error_guided``, …);
+    ``brier``, the mean of (confidence − (within a factor of 1.1))².
     """
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth)
     area = polar_weights(target) * known

@@ -162,10 +162,7 @@ class Trainer:
             self.average[name].lerp_(value, 1.0 - decay)
 
     def surpasses(self, loss: float) -> bool:
-        """Whether what networks are judged by is the least so far, which is remembered then.
-
-        Raises TrainingError: it is far above the least; the run has collapsed and would not recover.
-        """
+        """Whether a loss is the least so far, which is kept; TrainingError: far above it, the run has collapsed."""
         if not loss <= COLLAPSE_LOSS_RATIO * self.best:
             raise TrainingError(
                 f"expected a held-out loss near {self.best:.4g}, the least so far, got {loss:.4g} at step {self.step}: "
@@ -214,18 +211,9 @@ def train(
     is judged by), ``log.jsonl`` (one object per validation) and, for networks whose answers can be looked at,
     ``pictures/NNNNNNNN.png`` by step.
 
-    Args:
-        network: of a fresh run; a run that goes on keeps its own.
-        config: of this stage.
-        folder: of the run.
-        minutes: of wall clock, at most.
-        steps: total number of steps to reach, at most.
-        report: called with each row of the log.
-        precision: where and how to compute; a checkpoint can go on with another one.
-        weights: that a fresh run begins with, by name; the others are random.
-        on_start: called once, before the first step, when everything has been found right.
-
-    Raises TrainingError: the run has collapsed; ``checkpoint.pt`` is of an earlier step.
+    ``network`` and ``weights`` (by name, the others are random) are those of a fresh run. ``minutes`` of wall clock and
+    ``steps`` in total are limits. ``report`` is called with each row of the log, ``on_start`` once all was found right.
+    TrainingError: the run has collapsed; ``checkpoint.pt`` is of an earlier step.
     """
     trainer = open_trainer(network, config, folder / CHECKPOINT, precision, weights)
     trainer.pool = _checked_pools(trainer, config)

@@ -117,10 +117,7 @@ def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
 
 
 def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """L1 of the differences of neighbours, on surfaces, and over all pixels where the target jumps.
-
-    Where it jumps by more than a tenth the position of the edge is left to the plain L1.
-    """
+    """L1 of the differences of neighbours: on surfaces, and where the target jumps (the plain L1 has its position)."""
     gradients, edges = [], []
     for error, is_edge, both_known in _neighbour_step_errors(sqrt_inv_depth, target, known):
         gradients.append(_masked_mean(error * ~is_edge, both_known))
@@ -131,10 +128,7 @@ def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tens
 def _neighbour_step_errors(
     sqrt_inv_depth: Tensor, target: Tensor, known: Tensor
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Of the differences to the right neighbour (over the seam) and to the one below.
-
-    Each with its weighted error, whether the target jumps there, and whether both are known.
-    """
+    """Right (over the seam) and below: weighted error, whether the target jumps, and whether both are known."""
     weights = polar_weights(target)
     for dimension, kept in ((-1, slice(None)), (-2, slice(-1))):
         step, true_step = (x.roll(-1, dimension) - x for x in (sqrt_inv_depth, target))
@@ -155,11 +149,9 @@ def depth_scores(
 ) -> dict[str, float]:
     """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m; baselines are in metres.
 
-    Returns:
-        ``imae``, the mean absolute error of inverse depth, 1/m; ``delta_5``, the share of pixels whose depth is within
-        a factor of 1.05, ``delta_10`` and ``delta_25``; ``confidence_error``, the mean of |confidence − (within a
-        factor of 1.1)|; ``sky_zero``, the share of the pixels at infinity that are predicted below 1e-3 (times
-        baseline), NaN without sky.
+    ``imae``, 1/m; shares within a factor of 1.05 (``delta_5``), 1.1 and 1.25; ``confidence_error``, the mean of
+    |confidence − (within a factor of 1.1)|; ``sky_zero``, the share of infinity predicted below 1e-3 (times baseline),
+    NaN without any.
     """
     scale = baseline.view(-1, 1, 1, 1)
     estimate, truth = prediction.inverse_depth() / scale, target.square() / scale
@@ -187,11 +179,9 @@ def completion_scores(
 ) -> dict[str, float]:
     """Accuracy where matching is unreliable (0), and elsewhere (1); means weigh pixels by solid angle.
 
-    Returns:
-        ``unsure``, the unreliable share of the sphere; over that ``error``, the mean absolute error, ``within_5`` and
-        ``within_25``, the shares whose depth is within a factor of 1.05 and 1.25, and ``confidence_error``, the mean of
-        |confidence − (within a factor of 1.1)|; over the rest ``error_sure``. Those of ``filled``, √(inverse depth ×
-        baseline) of the input, end with ``_filled``.
+    ``unsure`` is that share of the sphere; over it mean absolute ``error``, shares ``within_5`` and ``within_25`` %,
+    and ``confidence_error`` (see :func:`depth_scores`); over the rest ``error_sure``. Those of ``filled``, √(inverse
+    depth × baseline) of the input, end with ``_filled``.
     """
     known, target = _split_known(target)
     area = polar_weights(target) * known
@@ -274,10 +264,8 @@ def fusion_loss(
 ) -> Tensor:
     """Absolute and squared differences from the truth, weighted half by solid angle and half by pixels; a scalar.
 
-    The truth has the size of the picture, or is larger by a whole factor. Squared errors are divided by the typical
-    one, that of the geometric fusion: a decibel in an easy scene then counts as much as one in a hard scene.
-
-    Source: OmniSyn, section 3.6, of the absolute differences.
+    The truth may be larger by a whole factor. Squared errors are relative to the typical one, that of the geometric
+    fusion, so that a decibel counts alike in all scenes. Source: OmniSyn, section 3.6, of the absolute differences.
     """
     if typical_error is None:
         typical_error = picture.new_full((len(picture),), TYPICAL_SQUARED_ERROR)
@@ -295,11 +283,9 @@ def fusion_scores(
     truth: Tensor,
     geometric: Tensor,
 ) -> dict[str, float]:
-    """Compare a picture, and the geometric fusion, with the truth; these are made as small as the picture.
+    """Of a picture and the geometric fusion, both as large as it: ``ws_psnr`` in dB, and its ``gain`` over that.
 
-    Returns:
-        ``ws_psnr`` in dB; ``gain``, dB more than the geometric fusion; ``hole_error``, the mean absolute error in
-        holes, NaN where there are none; ``hole_gain``, by how much it is less than that of the geometric fusion.
+    Mean absolute ``hole_error``, NaN without holes, and ``hole_gain``, by how much it is less than that of the fusion.
     """
     truth, geometric = (downsample_to(picture, image) for image in (truth, geometric))
     is_hole = (channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=1, keepdim=True) == 0).to(picture.dtype)

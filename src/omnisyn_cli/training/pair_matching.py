@@ -39,10 +39,7 @@ def views_to_match(ratios: Float[np.ndarray, "views views"], rng: np.random.Gene
 
 
 def draw_pose_error(rng: np.random.Generator) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    """What the pose of a second camera is wrong by: a rotation, and what is added to the direction to it.
-
-    Most poses are right: the identity and zeros.
-    """
+    """A second camera's error: a rotation, and what its direction is off by; mostly the identity and zeros."""
     if rng.random() >= POSE_ERROR_SHARE:
         return np.eye(3), np.zeros(3)
     return rotation_from_rotation_vector(rng.normal(0.0, TURN_ERROR, 3)), rng.normal(0.0, DIRECTION_ERROR, 3)
@@ -53,8 +50,8 @@ def match_views(
 ) -> Float32[np.ndarray, "2 4 rows cols"]:
     """What matching says of both views of a pair, each turned so that the other one is ahead; a quarter of the size.
 
-    Images have eight bits and are upright, with one heading; motion is from the first to the second camera, metres.
-    Random numbers make colours and poses not quite right; None leaves them exact.
+    Images are upright, eight bits, with one heading; ``motion`` to the second is in metres; no ``rng`` leaves all
+    exact.
     """
     baseline = float(np.linalg.norm(motion))
     turned, ahead = facing_the_other(images, motion / baseline)

@@ -51,10 +51,7 @@ class Triples(Batch):
 
 
 def swap_cameras(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
-    """Panoramas of the forward frame as they look with swapped cameras; its own inverse.
-
-    See :func:`omnisyn_cli.geometry.sweep.swap_cameras_in_forward_frame`.
-    """
+    """:func:`omnisyn_cli.geometry.sweep.swap_cameras_in_forward_frame` of tensors, by their last axis."""
     return x.roll(x.shape[-1] // 2, -1)
 
 
@@ -64,8 +61,8 @@ def draw_pairs(
 ) -> Batch:  # fmt: skip
     """Random pairs of random walks; read from either end and mirrored at random.
 
-    All images have ``size``, which may be square; its height divides the pool's, else InputError. Targets are clipped
-    to ``max_sqrt_inv_depth``. Without an augmentation colours stay as they are.
+    The height of ``size`` (maybe square) divides the pool's, else InputError. Targets are clipped to
+    ``max_sqrt_inv_depth``.
     """
     walks = (data.draw_walk(pool, rng, size[0]) for _ in range(batch))
     return data.stacked([Batch(**_pair(walk, 2, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
@@ -142,10 +139,7 @@ def turned_image(
 def turned_depth(
     sqrt_inv_depth: Float32[np.ndarray, "rows cols"], rotation: Float[np.ndarray, "3 3"], size: tuple[int, int]
 ) -> Float32[np.ndarray, "height width"]:
-    """√(inverse depth × baseline) as a turned camera sees it: linear on surfaces, not interpolated across edges.
-
-    What is not known (NaN) stays so.
-    """
+    """√(inverse depth × baseline) as a turned camera sees it: linear on surfaces, not across edges; NaN stays NaN."""
     table = turned_table(size, rotation, sqrt_inv_depth.shape)
     source = np.ascontiguousarray(sqrt_inv_depth, np.float32)
     smooth, nearest = table.bilinear(source), table.nearest(source)

@@ -32,8 +32,7 @@ class Precision:
 def choose_precision(device: str = "auto") -> Precision:
     """What to train with; bfloat16 has the range of single precision, so no loss needs scaling.
 
-    ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it multiplies in it; ``cpu`` is the
-    processor in single precision. InputError: an unknown device, or CUDA was asked for and there is none.
+    ``auto`` is CUDA, else the processor in bfloat16 if it multiplies in it. InputError: unknown, or CUDA without a GPU.
     """
     if device not in DEVICES:
         raise InputError(f"expected a device of {', '.join(DEVICES)}, got {device!r}")

@@ -47,15 +47,12 @@ def publish(
 ) -> list[tuple[ModelEntry, float]]:
     """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
 
-    The folder gets ``NAME.onnx`` (of several networks ``NAME-ROLE.onnx``) and a new manifest, which says on what and
-    for how long they were trained (``training``). The name is ``ROLE-VARIANT`` unless given (``synsin``). Besides
-    random inputs they are compared on scenes of a ``pool``; of networks trained together only the depth is. The answer
-    is the entries of the manifest, each with the largest relative difference found.
+    The folder gets ``NAME.onnx`` (of several ``NAME-ROLE.onnx``; the name is ``ROLE-VARIANT`` or ``synsin`` unless
+    given) and a new manifest, which says on what they were trained (``training``). They are compared with torch on
+    noise and scenes of a ``pool``. Returns their entries, each with the largest relative difference.
 
-    Raises:
-        InputError: no checkpoint, no scenes, or a name that is a path.
-        OutputPathError: there is a model of that name already.
-        OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
+    InputError: no checkpoint, no scenes, or a name that is a path; OutputPathError: there is such a model already;
+    OmnisynError: ONNX Runtime and torch do not agree, and nothing is left behind.
     """
     if name is not None and Path(name).name != name:
         raise InputError(f"expected a name without folders, got {name!r}; choose another (--name)")

@@ -96,10 +96,7 @@ class Recipe:
 
 
 def read_recipe(path: Path) -> Recipe:
-    """A recipe from a TOML file; its keys are the attributes of :class:`Recipe`, with ``[[stages]]``.
-
-    Raises InputError: no such file, no TOML, or unknown, missing or impossible values.
-    """
+    """A recipe from TOML: attributes of :class:`Recipe`, with ``[[stages]]``; InputError: no file, or wrong values."""
     try:
         values = tomllib.loads(read_text(path, "a recipe", error=InputError))
         stages = tuple(Stage(**stage) for stage in values.pop("stages", []))
@@ -240,14 +237,11 @@ def train_recipe(
 ) -> RecipeTrainer:
     """Train by a recipe until it is done or the time is over; goes on where ``folder`` was left.
 
-    Writes ``checkpoint.pt`` (to resume), ``best.pt`` and ``latest.pt`` (compact: of the least error so far, and of the
-    last validation), ``log.jsonl`` and ``curve.csv`` (a row per validation), ``pictures/NNNNNNNN.png``, and the scenes.
-
-    A fresh run goes on from ``begin_with``, a checkpoint, compact or not, or an exported network, or begins with the
-    weights of a classifier in its encoder, or with random ones. See :func:`omnisyn_cli.training.loop.train` for the
-    last four arguments.
-
-    Raises InputError: textures, meshes or a checkpoint are not what they should be; TrainingError: it has collapsed.
+    Writes ``checkpoint.pt`` (to resume), ``best.pt`` and ``latest.pt`` (compact: of the least error, of the last
+    validation), ``log.jsonl`` and ``curve.csv`` (a row per validation), ``pictures/NNNNNNNN.png``, and the scenes. A
+    fresh run begins with a checkpoint or exported network, else with a classifier's weights in its encoder, or random
+    ones. The last four arguments are those of :func:`omnisyn_cli.training.loop.train`. InputError: unusable textures,
+    meshes or checkpoint; TrainingError: it has collapsed.
     """
     photos, size = None if textures is None else str(textures), (recipe.height, 2 * recipe.height)
     walks = WalkConfig(size, recipe.kinds, textures=photos, views=recipe.views, meshes=meshes)

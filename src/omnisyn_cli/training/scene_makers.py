@@ -42,10 +42,7 @@ class SceneConfig:
     textures: str | None = None  # folder of photographs that become materials; None leaves all of them procedural
 
     def scene(self, seed: int, stops: int, kind: str | None = None) -> tuple[Scene, list[Pose]] | None:
-        """The scene of a seed, and places on a straight way through it; None if it has no room for one.
-
-        It is of the kind of its seed unless another one is given.
-        """
+        """A seed's scene, of its kind or ``kind``, and places on a straight way; None if there is no room for one."""
         scene = generate_scene(kind or self.kinds[seed % len(self.kinds)], seed, _packed_photos(self.textures))
         try:
             return scene, sample_path(scene, seed, stops)
@@ -78,15 +75,11 @@ def _packed_photos(folder: str | None) -> Photos | None:
 def make_scene_files(
     folder: Path, seeds: range, make: Callable[[Path, int], Path | None], *, workers: int = 1
 ) -> Iterator[Path]:
-    """Make the scenes that are not there yet, in worker processes that give way to everything else.
+    """Make the missing scenes in worker processes that give way to everything else; yields finished files, any order.
 
-    Yields each file as it is finished, in any order. ``make``, which can be pickled, writes the file of a seed, or
-    returns None where there is no room for a path.
-
-    Raises:
-        OutputPathError: the folder cannot be made.
-        WriteError: a file cannot be written; the scenes that have not been begun are left out then.
-        OmnisynError: a worker was killed, as it is where memory runs out; the scenes that are finished stay.
+    ``make``, which can be pickled, writes a seed's file, or returns None where there is no room for a path.
+    OutputPathError: no folder can be made; WriteError: no space, scenes not begun are left out; OmnisynError: a worker
+    was killed, as where memory runs out.
     """
     make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
@@ -143,10 +136,7 @@ def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
 
 
 def walk_of_views(views: Sequence[View], size: tuple[int, int]) -> Walk:
-    """Two panoramas, or more in the order of one straight line, and their known depth, turned upright.
-
-    Raises InputError: a panorama has no depth, or the ends are at one place.
-    """
+    """Panoramas along a line and their known depth, turned upright; InputError: no depth, or both ends at one place."""
     first = views[0].pose
     if at_same_position(first, views[-1].pose):
         raise InputError("expected two panoramas from different places, got one place; leave the pair out")

@@ -65,10 +65,9 @@ class TrainConfig:
 class Task:
     """A kind of network: what it is shown, how it is taught, how it is judged.
 
-    Batches are dataclasses of tensors, or lists of them. ``draw`` makes that of a step, on the processor: of a pool,
-    random numbers, a stage, the network and the variation of colours, or None. ``held_out`` makes one to be judged by,
-    of a scene's file, the number of times that it was looked at before, and the stage; None draws it without varying
-    colours.
+    Batches are dataclasses of tensors, or lists of them. ``draw`` makes that of a step: of a pool, random numbers, a
+    stage, the network and the variation of colours, or None. ``held_out`` makes one to be judged by of a scene's file,
+    how often it was looked at before, and the stage; None draws it without varying colours.
     """
 
     config: type[Any]  # class of its configuration, with ``as_dict`` and ``from_dict``

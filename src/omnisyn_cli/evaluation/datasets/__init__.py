@@ -22,8 +22,7 @@ FORMATS: Mapping[str, Finder] = {
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:
     """The scenes of a folder of scenes, or a single one; ``auto`` is the first layout that finds something.
 
-    With ``allow_outside`` a ``poses.json`` may name depth and masks outside of its folder.
-    InputError: there is no such folder, or no scene in it.
+    ``allow_outside``: depth and masks may lie elsewhere. InputError: there is no such folder, or no scene in it.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got none; check the name")

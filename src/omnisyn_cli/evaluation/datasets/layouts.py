@@ -55,10 +55,7 @@ PHOTOGRAPHS = "*.[jJ][pP]*[gG]"
 
 
 def own_scenes(folder: Path, *, allow_outside: bool = False) -> list[SceneSource]:
-    """The scenes of a folder, by name; none where nothing has this layout.
-
-    With ``allow_outside`` depth and masks of a scene may lie outside of its folder.
-    """
+    """The scenes of a folder in this layout, by name; ``allow_outside``: their depth and masks may lie elsewhere."""
     return [
         SceneSource(name, partial(_own_frames, scene, allow_outside))
         for name, scene in scene_folders(folder, POSES_NAME)
@@ -223,9 +220,8 @@ def tours_of_photographs(
 ) -> list[SceneSource]:
     """A scene for each pair that is chosen, with its photographs between; all of a folder, or of the folders in it.
 
-    Poses and masks are those of ``poses.json`` beside the photographs; with ``allow_outside`` it may name masks outside
-    of its folder. Without one, poses are estimated for each scene when it is read. Its unit of length is unknown then.
-    InputError: there are none; a ``poses.json`` is damaged; or a pair that was chosen is not there.
+    Poses and masks (elsewhere with ``allow_outside``) are those of ``poses.json``, else estimated per scene when it is
+    read, in an unknown unit of length. InputError: there are none; a ``poses.json`` is damaged; or a pair is not there.
     """
     scenes = []
     places = {place: name for each in (POSES_NAME, PHOTOGRAPHS) for name, place in scene_folders(folder, each)}

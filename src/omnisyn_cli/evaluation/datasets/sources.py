@@ -89,12 +89,10 @@ PairChooser = Callable[[Scene], list[Pair]]
 def choose_pairs(text: str | None) -> PairChooser:
     """What ``--pairs`` means: which frames of a scene are inputs; those between are the truth.
 
-    By default the first and the last frame are the inputs. ``0:4,1:3`` names others by their index in every scene;
-    ``every:4`` takes frames 0 and 4, 4 and 8 and so on, which suits long drives. ``around`` takes the neighbours of
-    each frame but the ends. Otherwise the text is the name of a file with one pair a line: scene, first and second
-    frame, separated by white space; frames are names or indices, ``#`` begins a comment. Scenes that such a file does
-    not name are not evaluated.
-    InputError: neither a list of pairs nor a readable file of them.
+    By default the first and the last. ``0:4,1:3`` names others by index; ``every:4`` takes 0 and 4, 4 and 8 and so on;
+    ``around`` the neighbours of each frame but the ends. Otherwise the text names a file with one pair a line: scene,
+    first and second frame (names or indices) between white space, ``#`` begins a comment; scenes without a line are not
+    evaluated. InputError: neither a list of pairs nor a readable file of them.
     """
     if text is None:
         return lambda scene: [_pair(scene, 0, len(scene.frames) - 1)] if len(scene.frames) > 1 else []

@@ -51,8 +51,7 @@ class _Pixels(NamedTuple):
 def flying_share(image: Picture, truth: Picture, pose: Pose, views: tuple[View, View]) -> float:
     """Share of the sphere whose pixels fly.
 
-    ``image`` is a frame and ``truth`` what a camera saw at ``pose``, both RGB in [0, 1] of one size; ``views`` are both
-    photographs. ValueError: sizes differ, or a view has no known depth.
+    ``truth`` was seen at ``pose``; RGB in [0, 1]. ValueError: sizes differ, or a view (photograph) has no known depth.
     """
     weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape[:2])
     return float(weights[flying_pixels(image, truth, pose, views)].sum() / weights.sum())
@@ -122,8 +121,8 @@ def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " cou
 def is_around(wide: np.ndarray, reach: int, rows: np.ndarray, cols: np.ndarray, colours: np.ndarray) -> np.ndarray:
     """Whether a picture has each colour within ``reach`` rows and columns of each pixel, ``(count,)``.
 
-    ``wide`` is the picture with ``reach`` more rows and columns on every side, ``(rows, cols, 3)`` float32; ``rows``
-    and ``cols`` of the pixels count without them; ``colours`` are ``(count, 3)`` float32.
+    ``wide``: the picture with a border of ``reach``, ``(rows, cols, 3)`` float32, beyond which ``rows``, ``cols``
+    count.
     """
     is_found = np.zeros(len(rows), np.bool_)
     side = 2 * reach + 1
@@ -186,10 +185,7 @@ class PhotographEdges:
 
 
 def shard_share(image: Picture, pose: Pose, photographs: PhotographEdges) -> float:
-    """Share of the edges of a frame that are shards, by the area of their pixels; 0 of a frame without edges.
-
-    ``image`` is RGB in [0, 1], taken at ``pose``, world-from-camera.
-    """
+    """Share of a frame's edges that are shards, by area; RGB in [0, 1], ``pose`` world-from-camera; 0 without edges."""
     edges = find_edges(image, pose, photographs.size, MIN_CONTRAST)
     is_shard = photographs.lack(edges.points)
     return float(edges.weights[is_shard].sum() / max(edges.weights.sum(), 1e-9))

@@ -78,9 +78,8 @@ def left_right_metrics(
 ) -> dict[str, float]:  # fmt: skip
     """Area without left-right consistent disparities, and the accuracy of depth there and elsewhere.
 
-    ``unsure_area`` is that share of the scored pixels; ``within_5_unsure`` and ``within_5_sure`` are the shares of the
-    values within 5 % of the truth in it and in the rest; that of an empty area is missing. Maps are those of
-    :func:`depth_metrics`, somewhere scored; ``stereo_valid`` is where both directions of matching agreed.
+    ``unsure_area`` is that share of the scored pixels; ``within_5_unsure`` and ``within_5_sure`` the shares within 5 %
+    of the truth in it and in the rest, if there is any. Maps as of :func:`depth_metrics`, somewhere scored.
     """
     check_same_size(estimate, truth)
     scored, weights = _scored(truth)

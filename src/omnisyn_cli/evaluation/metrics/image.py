@@ -49,19 +49,15 @@ def ws_psnr(image: Picture, truth: Picture) -> float:
 def ssim(image: Picture, truth: Picture) -> float:
     """Mean structural similarity, 1 for equal pictures, over the pixels whose whole window lies in the picture.
 
-    The picture is taken as flat. Channels are compared one by one and averaged; variances are those of the population.
-
-    Source: Wang, Bovik, Sheikh and Simoncelli, Image quality assessment: from error visibility to structural
-    similarity, 2004.
+    The picture is taken as flat; channels are averaged; variances are those of the population. Source: Wang, Bovik,
+    Sheikh and Simoncelli, Image quality assessment: from error visibility to structural similarity, 2004.
     """
     _check_window(image, truth)
     return float(similarity(image, truth).mean())
 
 
 def ws_ssim(image: Picture, truth: Picture) -> float:
-    """SSIM of every pixel of the panorama, weighted by its share of the sphere.
-
-    Windows reach across the seam, and over a pole into the columns on the other side.
+    """SSIM of every pixel by its share of the sphere; windows reach across the seam and over the poles.
 
     Source: Zhou, Yu, Ma, Shao and Jiang, Weighted-to-spherically-uniform SSIM objective quality evaluation for
     panoramic video, 2018; continued over the borders instead of cropped.
@@ -73,11 +69,8 @@ def ws_ssim(image: Picture, truth: Picture) -> float:
 def lrce(image: Picture, truth: Picture) -> float:
     """Left-right consistency error: how much the step across the seam differs from the true one; 0 is perfect.
 
-    ``mean |(image_first − image_last) − (truth_first − truth_last)|`` over rows and channels, where ``first`` and
-    ``last`` are the first and the last column. The true step is subtracted, so a real edge at the seam is no error.
-
-    Source: the metric of Shen et al., PanoFormer: panorama transformer for indoor 360° depth estimation, 2022, there
-    of depth, here of colour, as an absolute mean.
+    ``mean |(image_first − image_last) − (truth_first − truth_last)|`` of columns: a real edge at the seam is no error.
+    Source: the metric of Shen et al., PanoFormer, 2022, there of depth, here of colour, as an absolute mean.
     """
     check_same_size(image, truth)
     error = image.astype(np.float64) - truth
@@ -136,9 +129,8 @@ def end_masks(size: tuple[int, int]) -> Masks:
 def kind_figures(image: Picture, truth: Picture, kinds: Masks) -> dict[str, dict[str, float]]:
     """What is measured of every kind that there are pixels of: a figure -> a kind -> a number.
 
-    ``psnr`` is the peak signal-to-noise ratio in dB of the pixels of a kind, ``area`` their share of the sphere,
-    ``error`` their share of the squared error of the whole picture (0 where that has none). Pixels count by their
-    solid angle; kinds may overlap.
+    ``psnr`` in dB, ``area`` (share of the sphere), ``error`` (share of the picture's squared error, 0 where it has
+    none). Pixels count by their solid angle; kinds may overlap.
     """
     squared = squared_error(image, truth).mean(axis=-1)
     weights = np.broadcast_to(row_weights(len(truth))[:, None], squared.shape)

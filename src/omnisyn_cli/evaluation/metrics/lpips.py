@@ -21,15 +21,11 @@ SMALLEST_FACE = 64  # pixels; a network of five poolings has nothing left of les
 class Lpips:
     """LPIPS of two panoramas; 0 for equal ones, smaller is better.
 
-    A network for flat pictures is run on the six faces (90° × 90°) of a cube, because at the poles of an
-    equirectangular picture nothing looks as the network knows it. Faces have the size that the file fixes, else half
-    the panorama's height (at least 64).
+    A network for flat pictures is run on the six faces of a cube, as it knows no poles. Faces have the size that the
+    file fixes, else half the panorama's height (at least 64). The ONNX file has two inputs, float images ``(batch, 3,
+    height, width)`` in [-1, 1], and the distance as first output (it is averaged). InputError: it is not one.
 
-    Source: Zhang, Isola, Efros, Shechtman and Wang, The unreasonable effectiveness of deep features as a perceptual
-    metric, 2018.
-
-    The ONNX file has two inputs, each a float image ``(batch, 3, height, width)`` in [-1, 1]. Its first output is the
-    distance (of any shape; it is averaged). InputError: it cannot be loaded or has other inputs.
+    Source: Zhang et al., The unreasonable effectiveness of deep features as a perceptual metric, 2018.
     """
 
     def __init__(self, path: Path, *, threads: int | None = None) -> None:
@@ -46,10 +42,7 @@ class Lpips:
         self._face_size = inputs[0].shape[2:]  # what is not fixed is a name or None
 
     def __call__(self, image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
-        """Mean distance of the six faces of two equirectangular RGB pictures in [0, 1].
-
-        ValueError: the pictures differ in size; InputError: the network fails on the faces.
-        """
+        """Mean over the faces of two panoramas, RGB in [0, 1]; ValueError: sizes; InputError: the network fails."""
         check_same_size(image, truth)
         face_side = max(SMALLEST_FACE, len(image) // 2)
         is_fixed = all(isinstance(length, int) for length in self._face_size)

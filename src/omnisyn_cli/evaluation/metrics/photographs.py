@@ -19,9 +19,8 @@ Usable = Bool[np.ndarray, "height width"]
 def photograph_scores(image: Picture, truth: Picture, usable: Usable) -> dict[str, float]:
     """Scores after a gain and an offset per channel, on the pixels of the photograph that may be compared.
 
-    Returns:
-        ``ws_psnr``, ``ws_ssim`` (of pictures with 11 rows or more), both after alignment as ``aligned_psnr`` and
-        ``aligned_ssim``, and ``misplacement``: the median length of that alignment in degrees.
+    ``ws_psnr``, ``ws_ssim`` (from 11 rows on), both aligned (``aligned_psnr``, …), ``misplacement``: its median
+    degrees.
     """
     lit, aligned, degrees = _fit_to_photograph(image, truth, usable)
     weights = solid_angles(*usable.shape)[usable]

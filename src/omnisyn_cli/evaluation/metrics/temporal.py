@@ -31,8 +31,7 @@ InverseDepths = Sequence[Float[np.ndarray, "height width"]]
 def change_psnr(frames: Frames, truths: Frames) -> list[float]:
     """How well each frame but the first changes from the one before as the true frames do: PSNR on the sphere, dB.
 
-    What is wrong alike in both frames is no error here; what appears, vanishes or jumps between them is. The error is
-    ``(made_k − made_{k−1}) − (true_k − true_{k−1})``.
+    Of ``(made_k − made_{k−1}) − (true_k − true_{k−1})``: what is wrong alike in both frames is no error here.
     """
     return [
         ws_psnr(after - before, true_after - true_before)
@@ -43,12 +42,9 @@ def change_psnr(frames: Frames, truths: Frames) -> list[float]:
 def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
     """Mean absolute difference between a frame and the next one warped into it, where both see the same point.
 
-    The mean of the pairs of neighbouring frames, each over its commonly visible pixels and the three channels. What
-    rightly changes with the position (reflections) counts as an error, and so does what interpolation blurs. At least
-    two frames.
-
-    Source: the warping error of Lai et al., Learning blind video temporal consistency, 2018, with geometry in the place
-    of optical flow and absolute differences.
+    The mean over pairs of neighbours (two frames at least), each over what both see. Reflections and blur by
+    interpolation count as errors. Source: Lai et al., Learning blind video temporal consistency, 2018, with geometry
+    for optical flow and absolute differences.
     """
     _check(frames, inverse_depths, poses, min_frames=2)
     errors = []
@@ -61,8 +57,7 @@ def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence
 def flicker(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
     """Mean absolute second difference in time, ``|before − 2·now + after|``, of every point that three frames see.
 
-    The points are those of the middle frame's pixels, found in its neighbours. A steady change, such as a slow
-    cross-fade, is no flicker; a point that lights up for one frame by e counts 2·e. At least three frames.
+    A steady change is no flicker; a point that lights up for one frame by e counts 2·e. At least three frames.
     """
     _check(frames, inverse_depths, poses, min_frames=3)
     errors = []

@@ -26,11 +26,10 @@ def confidence_step(
     second_depth: Float32[np.ndarray, "height width"],
     out: Float32[np.ndarray, "height width"],
 ) -> ColourStep:
-    """A step that writes the confidence of some rows, in [0, 1]; it changes no colours.
+    """A step that writes the confidence of some rows, in [0, 1], into ``out``; it changes no colours.
 
-    It is 0 where neither layer shows anything; near 1 where both show one colour at one depth and their depth is
-    reliable; 0.6 where only one shows something; low where they contradict each other in depth or colour. Depths are
-    the inverse depths of both layers; ``out`` is written.
+    It is 0 where neither layer shows anything; near 1 where both show one colour at one reliable (inverse) depth; 0.6
+    where only one shows something; low where they contradict each other.
     """
     tolerances = ConfidenceTolerances(ONE_VIEW_CONFIDENCE, DEPTH_TOLERANCE, COLOUR_TOLERANCE)
 

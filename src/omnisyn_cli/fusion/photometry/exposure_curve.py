@@ -82,10 +82,9 @@ class ExposureCurve:
         return ExposureCurve(-self.gain)
 
     def table(self, t: float, *, of_second: bool) -> Float[np.ndarray, "3 entries"]:
-        """The sRGB values at a share ``t`` of the way, for the values ``linspace(0, 1, entries)`` of one picture.
+        """The sRGB values at a share ``t`` of the way, of the values ``linspace(0, 1, entries)`` of one picture.
 
-        Rising from 0 to at most 1: what would be brighter than white is white. At the picture's own end of the way it
-        is the identity.
+        Rising from 0 to at most 1 (white); the identity at the picture's own end of the way.
         """
         srgb, share = np.linspace(0.0, 1.0, EXPOSURE_TABLE_ENTRIES), t - float(of_second)
         if share == 0.0 or self.is_identity:
@@ -112,8 +111,7 @@ def estimate_curve(
 ) -> ExposureCurve:
     """The gain between two pictures of the same places; zero where they are alike or too little can be compared.
 
-    Values are sRGB in [0, 1], and ``weight`` >= 0 is how much each place counts. Up to half of the samples of each
-    level may show different things.
+    sRGB in [0, 1]; ``weight`` >= 0 of each place. Up to half of the samples of a level may show different things.
     """
     fits = [_fit_channel(first[:, k], second[:, k], weight) for k in range(3)]
     is_alike = max(fit.rms_gain for fit in fits) < MIN_GAIN_STOPS
@@ -125,10 +123,9 @@ def estimate_curve(
 def cross_validated_curve(
     samples: Sequence[tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"], np.ndarray]],
 ) -> ExposureCurve:
-    """The curve of two halves of samples, each as the arguments of :func:`estimate_curve`.
+    """:func:`estimate_curve` of two halves of samples; zero unless the curve of each half holds in the other.
 
-    It is zero unless the curve of each half holds in the other half. Wrong depth pairs different places, and a curve
-    fits these as well. But then few samples agree with it.
+    Wrong depth pairs different places, and a curve fits these as well. But then few samples agree with it.
     """
     for half, other in (samples, samples[::-1]):
         inliers, without, by_chance = _inlier_shares(estimate_curve(*half), *other)
@@ -177,11 +174,10 @@ class _ChannelFit:
 
 
 def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray, "more_pixels 3"]) -> ExposureCurve:
-    """A rough gain between two pictures of one scene, without correspondences.
+    """A rough gain between two pictures of one scene, without correspondences: good enough to find matches by.
 
-    One constant per channel, the median difference in stops between equal quantiles; zero if it is small in all
-    channels. It is good enough to find matches by. Each sample, sRGB in [0, 1], stands for the same share of the
-    sphere.
+    The median difference in stops of equal quantiles, by channel; zero if all are small. Samples, sRGB in [0, 1], stand
+    for equal shares of the sphere.
     """
     low, high = USABLE_SRGB
     gain = np.zeros((3, len(KNOTS)))

@@ -32,8 +32,8 @@ def look_up_rows(image, table, begin, end):
 def expose_rows(colour, table, loss, clipping):
     """Send colours ``(rows, width, 4)`` through a table, in place; clipped pixels lose a share of their weight.
 
-    ``table`` ``(3, entries)`` is for values from 0 to 1; others go on in proportion to its ends. ``loss`` is the share
-    of the weight that a white pixel loses; ``clipping`` the sRGB value from which on a channel counts as clipped.
+    ``table`` ``(3, entries)`` is from 0 to 1 and goes on in proportion; white loses ``loss``, ``clipping`` (sRGB)
+    nothing.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(colour.shape[0]):

@@ -156,9 +156,8 @@ def render(
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:  # fmt: skip
     """Render one panorama: RGB in [0, 1], and metres along the ray of each pixel's centre, inf where there is nothing.
 
-    ``caster`` says what rays hit, ``shader`` how samples look of pixels whose centres see some hits. ``pose`` is world
-    from camera, y up, ``size`` ``(height, width)``. A pixel has ``supersample``² colour samples. The result does not
-    depend on ``threads`` (None: one per core).
+    ``shader`` says how samples look of pixels whose centres see some hits. ``pose`` is world from camera, y up,
+    ``size`` ``(height, width)``. A pixel has ``supersample``² colour samples. ``threads`` change nothing.
     """
     height, width = size
     image, depth = np.zeros((height, width, 3), np.float32), np.empty((height, width), np.float32)
@@ -186,10 +185,7 @@ def render(
 
 @dataclass(frozen=True)
 class MeshScene:
-    """A mesh, ready for rays, with its textures in its light.
-
-    ``exposure`` is a factor on light; None chooses one for each picture.
-    """
+    """A textured mesh in its light; ``exposure`` is a factor on light, None chooses one for each picture."""
 
     caster: MeshCaster
     colours: SurfaceColours

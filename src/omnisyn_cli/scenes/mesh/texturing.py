@@ -143,10 +143,7 @@ Photos = Sequence[UInt8[np.ndarray, "height width 3"]]
 
 
 def varied_mesh(mesh: TexturedMesh, rng: np.random.Generator, photos: Photos) -> TexturedMesh:
-    """The mesh in another size, mirrored or not, with other materials and some things left out.
-
-    Its light map, if any, stays. Without photographs, materials get other colours only.
-    """
+    """Another size, handedness, other materials (without photographs only colours), less furniture; same light map."""
     kept = _kept_faces(mesh, rng)
     scale = np.exp(rng.uniform(*np.log(SCALES))) * np.array([rng.choice([-1.0, 1.0]), 1.0, 1.0])
     share = rng.uniform(*PHOTO_SHARES)
