@@ -10,9 +10,10 @@ import json
 import sys
 import tempfile
 from pathlib import Path
+from statistics import fmean
 
 from omnisyn_cli import __version__
-from omnisyn_cli.evaluation.engine import EvaluationJob, plan_evaluation, run_evaluation
+from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.scene_files import write_suite_scene
 from omnisyn_cli.scenes.paths import suite_scenes
 
@@ -44,10 +45,10 @@ def measure(folder: Path) -> Scores:
     write_scenes(folder / "scenes")
     job = EvaluationJob(folder / "scenes", folder / "report", ",".join(METHODS), pictures=False)
     scores: Scores = {scene: {} for scene in SCENES}
-    for record in run_evaluation(plan_evaluation(job)):
+    for record in evaluate(plan_evaluation(job), has_report=False):
         if record.status != "done":
             raise RuntimeError(f"{record.scene}: expected {record.method} to work, got '{record.reason}'")
-        scores[record.scene][record.method] = round(record.mean("ws_psnr"), 3)
+        scores[record.scene][record.method] = round(fmean(frame.scores["ws_psnr"] for frame in record.frames), 3)
     return scores
 
 

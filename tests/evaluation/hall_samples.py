@@ -7,7 +7,7 @@ import numpy as np
 
 from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.evaluation.datasets.sources import Pair, choose_pairs
-from omnisyn_cli.evaluation.engine import EvaluationJob, plan_evaluation, run_evaluation
+from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.results import UnitRecord
 from omnisyn_cli.evaluation.views import LoadedPair, load_pair
 from omnisyn_cli.io import write_image
@@ -55,7 +55,7 @@ def run(
     folder: Path, methods: str, on_unit: Callable[[int, UnitRecord], None] | None = None, **options: object
 ) -> list[UnitRecord]:
     job = EvaluationJob(folder, folder.parent / "report", methods, **{"pictures": False, "threads": 1, **options})
-    return run_evaluation(plan_evaluation(job), on_unit)
+    return evaluate(plan_evaluation(job), on_unit, has_report=False)
 
 
 def scores_of(records: list[UnitRecord], method: str) -> np.ndarray:

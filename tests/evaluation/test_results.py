@@ -5,15 +5,8 @@ import math
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.results import (
-    RESULTS_NAME,
-    DepthRecord,
-    FrameRecord,
-    UnitRecord,
-    append_record,
-    latest_records,
-    read_records,
-)
+from omnisyn_cli.evaluation.results import RESULTS_NAME, DepthRecord, FrameRecord, UnitRecord, read_records
+from omnisyn_cli.io.documents import append_line
 
 FRAME = FrameRecord("b.png", 0.5, 1.25, {"ws_psnr": math.inf, "ssim": 1.0}, {"frame": "pictures/b.jpg"})
 DEPTH = DepthRecord("a.png", {"imae": 0.1}, {"imae": 0.2})
@@ -22,6 +15,10 @@ DONE = UnitRecord(
     depths=(DEPTH,), temporal={"flicker": 0.01}, seconds={"depth": 1.5, "total": 1.5},
 )  # fmt: skip
 SKIPPED = UnitRecord("", "street", "", "", "", "skipped", 'no "truth"\n')
+
+
+def append_record(folder, record):
+    append_line(folder / RESULTS_NAME, record.to_json())
 
 
 def test_records_come_back_as_they_were_written(tmp_path):
@@ -64,15 +61,3 @@ def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path, line):
     path.write_bytes(path.read_bytes() + f"{line}\n".encode())
     with pytest.raises(InputError, match="line 2"):
         read_records(tmp_path)
-
-
-def test_the_last_record_about_a_unit_counts():
-    again = UnitRecord("k2", "hall – «1»", "a.png", "c.png", "matching", "failed", "broken")
-    assert latest_records([DONE, SKIPPED, again]) == [again, SKIPPED]
-
-
-def test_the_mean_is_over_the_frames_that_have_the_score():
-    frames = tuple(FrameRecord(str(k), 0.5, 1.0, {"psnr": float(k)} if k else {}) for k in range(4))
-    record = UnitRecord("", "s", "a", "b", "m", "done", frames=frames)
-    assert record.mean("psnr") == 2.0
-    assert math.isnan(record.mean("lpips"))

@@ -265,6 +265,7 @@ def _batch_results() -> Target:
 
 def _eval_results() -> Target:
     from omnisyn_cli.evaluation import results
+    from omnisyn_cli.evaluation.report import write_report
 
     frames = tuple(
         results.FrameRecord(f"{i}.png", i / 4, 0.25, {"ws_psnr": 30.0 + i, "psnr": math.inf}) for i in (1, 2, 3)
@@ -277,9 +278,7 @@ def _eval_results() -> Target:
     data = b"".join(_json(record.to_json()) + b"\n" for _ in range(3))
 
     def read(folder: Path) -> None:
-        for found in results.latest_records(results.read_records(folder)):
-            found.mean("ws_psnr")
-        results.append_record(folder, record)
+        write_report(folder, results.read_records(folder))
 
     return Target({"results.jsonl": data}, ("results.jsonl",), read)
 

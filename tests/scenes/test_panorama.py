@@ -3,7 +3,7 @@ import pytest
 from scene_samples import DAY, builder, random_shapes
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.scenes import generate_scene, render_panorama, render_views, sample_path
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 
@@ -22,15 +22,6 @@ def test_the_result_does_not_depend_on_the_number_of_threads(street):
     several = render_panorama(scene, path[0], SIZE, threads=3)
     for a, b in zip(single, several, strict=True):
         assert a.tobytes() == b.tobytes()
-
-
-def test_views_are_panoramas_of_one_rotation(street):
-    scene, path = street
-    images, depths = render_views(scene, path[0].rotation, np.stack([pose.position for pose in path]), SIZE)
-    for pose, image, depth in zip(path, images, depths, strict=True):
-        alone = render_panorama(scene, Pose(path[0].rotation, pose.position), SIZE)
-        np.testing.assert_array_equal(image, alone[0])
-        np.testing.assert_array_equal(depth, alone[1])
 
 
 @pytest.mark.parametrize("columns", [1, 20, 40])

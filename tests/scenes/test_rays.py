@@ -8,7 +8,7 @@ from scene_samples import builder, one, oracle_distance, random_shapes, unit_dir
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.scenes import generate_scene, render_panorama, render_views, sample_path
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.scenes.panorama import trace_rays
 from omnisyn_cli.scenes.scene import SEGMENTS, Shape, triangles
 
@@ -83,7 +83,7 @@ def test_depth_in_a_rotated_frame_is_that_along_the_rotated_rays(kind, seed):
     scene = generate_scene(kind, seed)
     position = sample_path(scene, seed, 1)[0].position
     rotation = rotation_from_rotation_vector(np.array([1.2, 0.5, -0.8]))
-    _, depth = render_views(scene, rotation, position[None], (33, 70), supersample=2)
+    _, depth = render_panorama(scene, Pose(rotation, position), (33, 70), supersample=2)
     expected, hit = trace_rays(scene, position, (pixel_directions(33, 70) @ rotation.T).reshape(-1, 3))
     np.testing.assert_allclose(depth.ravel(), expected, rtol=1e-6)
     assert (depth > 0).all()

@@ -21,7 +21,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.runtime.image_networks import CompletionSession
 from omnisyn_cli.runtime.models import find_model, models_folder
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.scenes import generate_scene, render_views, sample_path
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 from omnisyn_cli.stereo.stereo_features import StereoFeatures, completion_channels
@@ -53,8 +53,7 @@ class Room:
 def room() -> Room:
     scene = generate_scene("room", 101)
     path = sample_path(scene, 101, 3)
-    rendered = (render_views(scene, p.rotation, p.position[None], SIZE, supersample=2, threads=1) for p in path)
-    seen = [image[0] for image, _ in rendered]
+    seen = [render_panorama(scene, pose, SIZE, supersample=2, threads=1)[0] for pose in path]
     first, second = (View(np.asarray(seen[at], np.float32), path[at]) for at in (0, 2))
     matching = MatchingDepthEstimator(MatchingOptions(size=(2 * SIZE[0], 2 * SIZE[1])), 1)
     return Room((first, second), matching.features(first, second), np.asarray(seen[1]), path[1])

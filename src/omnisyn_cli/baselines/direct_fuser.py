@@ -7,11 +7,10 @@ Only the two ends of the way are the photographs themselves.
 Source: OmniSyn, section 3.5.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
@@ -27,12 +26,8 @@ MAX_NETWORK_ROWS = 1024  # rows of the network's picture; its memory grows with 
 SIZE_MULTIPLE = 64  # of the network's input: it halves its input six times
 
 
-class DirectFusionNetwork(Protocol):
-    """A trained direct fusion network, in whatever runtime."""
-
-    def __call__(self, channels: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
-        """The picture. Channels are both layers' colours in [0, 1], 0 where nothing is seen, and both seen masks."""
-        ...
+DirectFusionNetwork = Callable[[np.ndarray], np.ndarray]
+"""Takes both layers' colours in [0, 1], 0 where nothing is seen, and both seen masks to a picture, channels first."""
 
 
 class DirectFuser(GeometricFuser):

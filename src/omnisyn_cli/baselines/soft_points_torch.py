@@ -14,13 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.baselines.soft_points import (
-    MIN_DIVISOR_OPACITY,
-    POINT_RADIUS_ROWS,
-    POINTS_PER_PIXEL,
-    disc_angle,
-    list_visible,
-)
+from omnisyn_cli.baselines import soft_points
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import normalize, pixel_directions
 
@@ -28,14 +22,14 @@ from omnisyn_cli.geometry.sphere import normalize, pixel_directions
 def splat_torch(
     features: Sequence[Float[Tensor, "channels height width"]],
     inverse_depths: Sequence[Float[Tensor, "height width"]], target_from_sources: Sequence[Pose],
-    size: tuple[int, int], *, radius: float = POINT_RADIUS_ROWS, most: int = POINTS_PER_PIXEL,
+    size: tuple[int, int], *, radius: float = soft_points.POINT_RADIUS_ROWS, most: int = soft_points.POINTS_PER_PIXEL,
 ) -> Float[Tensor, "channels+1 rows cols"]:  # fmt: skip
     """What :func:`omnisyn_cli.baselines.soft_points.splat` answers, channels first, on the device of the source.
 
     The inverse depths, 1/metre, are finite and >= 0; it is their precision that is computed in.
     """
     depths = [inverse_depth.detach().cpu().numpy() for inverse_depth in inverse_depths]
-    lists = list_visible(depths, target_from_sources, size, radius=radius, most=most)
+    lists = soft_points.list_visible(depths, target_from_sources, size, radius=radius, most=most)
     found = torch.from_numpy(lists.found).to(inverse_depths[0].device).view(-1, most)
     centres = torch.cat(list(map(_directions, inverse_depths, target_from_sources)))
     shares, opacity = _shares(centres, found, size, radius)
@@ -61,9 +55,9 @@ def _shares(
     """What part of its pixel every listed point is, and the sum."""
     rays = torch.from_numpy(pixel_directions(*size)).to(centres).view(-1, 1, 3)
     apart = functional.embedding(found.clamp(min=0), centres) - rays
-    largest = 2.0 * math.sin(0.5 * disc_angle(radius, size[0]))
+    largest = 2.0 * math.sin(0.5 * soft_points.disc_angle(radius, size[0]))
     square = apart.square().sum(dim=-1) / largest**2
-    alpha = (1.0 - square.clamp(MIN_DIVISOR_OPACITY, 1.0).sqrt()) * (found >= 0)
+    alpha = (1.0 - square.clamp(soft_points.MIN_DIVISOR_OPACITY, 1.0).sqrt()) * (found >= 0)
     left = (1.0 - alpha).cumprod(dim=1)
     before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], dim=1)
     return alpha * before, 1.0 - left[:, -1]

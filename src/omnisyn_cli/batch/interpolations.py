@@ -27,7 +27,6 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 # Kept at a time by a worker: two panoramas for the pair at work, one shared with the next pair; the depth of pairs;
 # estimators, as jobs that want depth found in more ways than that load networks again.
 MAX_CACHED_PANORAMAS, MAX_CACHED_DEPTHS, MAX_CACHED_ESTIMATORS = 3, 4, 4
-
 T = TypeVar("T")
 
 

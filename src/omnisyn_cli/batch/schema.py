@@ -108,7 +108,6 @@ OPTION_FIELDS: dict[str, Any] = {
     for field in fields(InterpolationJob)
     if field.name not in RUN_FIELDS | LINE_FIELDS.keys()
 }
-
 LINE_CONFIG = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 Line: Any = create_model("Line", __config__=LINE_CONFIG, **LINE_FIELDS, **OPTION_FIELDS)

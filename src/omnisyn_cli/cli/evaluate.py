@@ -100,7 +100,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     import shlex
 
     from omnisyn_cli import __version__
-    from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
+    from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
     from omnisyn_cli.evaluation.visualization import PICTURES_FOLDER
 
     with working_folder(report, "eval", is_quiet=quiet) as folder:
@@ -115,7 +115,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         with counted_bar(
             "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet
         ) as on_unit:
-            records = run_evaluation(plan, on_unit) if report is None else evaluate(plan, on_unit)
+            records = evaluate(plan, on_unit, has_report=report is not None)
     if as_json:
         about = {"dataset": str(job.dataset), "report": None if report is None else str(report)}
         print_json({"version": __version__, **about, "units": [record.to_json() for record in records]})

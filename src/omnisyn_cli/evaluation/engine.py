@@ -7,6 +7,7 @@ in ``results.jsonl`` are not done again. What is broken or unavailable is tried 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,11 @@ from omnisyn_cli.evaluation.methods import (
     also_in_tours,
     find_methods,
 )
-from omnisyn_cli.evaluation.results import Status, UnitRecord, append_record, read_records, worst_frames
+from omnisyn_cli.evaluation.results import RESULTS_NAME, Status, UnitRecord, read_records, worst_frames
 from omnisyn_cli.evaluation.views import LoadedPair, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.geometry.pose import distance_between
+from omnisyn_cli.io.documents import append_line
 from omnisyn_cli.io.outputs import make_folder
 
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
@@ -126,30 +128,25 @@ def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
     return UnitRecord("", source.name, "", "", "", status, reason)
 
 
-def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
-    """:func:`run_evaluation` with a report of its records, see :mod:`omnisyn_cli.evaluation.report`.
+def evaluate(
+    plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None, *, has_report: bool = True
+) -> list[UnitRecord]:
+    """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
 
-    The report is written at the end, and after an interruption as well, of what was finished until then.
+    Their report is written at the end, and after an interruption as well. ``on_unit`` gets the number of finished units
+    and the last record. InputError: unreadable earlier results, or no network for ``lpips``; OutputPathError,
+    WriteError: the folder of the report cannot be written.
     """
-    from omnisyn_cli.evaluation.report import write_report  # matplotlib takes a while to import
-
     records: list[UnitRecord] = []
     try:
         for record in _written(plan, on_unit):
             records.append(record)  # noqa: PERF402 - an interruption leaves those that are finished
     finally:
-        if records:
+        if records and has_report:
+            from omnisyn_cli.evaluation.report import write_report  # matplotlib takes a while to import
+
             write_report(plan.job.report, records, {"data set": str(plan.job.dataset), "command": plan.job.command})
     return records
-
-
-def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
-    """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
-
-    ``on_unit`` gets the number of finished units and the last record. InputError: unreadable earlier results, or no
-    network for ``lpips``; OutputPathError, WriteError: the folder of the report cannot be written.
-    """
-    return list(_written(plan, on_unit))
 
 
 def _written(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
@@ -157,22 +154,16 @@ def _written(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | 
     folder, units = plan.job.report, 0
     make_folder(folder, "the report")
     known = {record.unit: record for record in read_records(folder)}
-    for record in _records(plan, known):
+    worker = _UnitRunner(plan.job)
+    for record in chain(plan.findings, *(worker.records(pair, plan.methods, known) for pair in plan.pairs)):
         former = known.get(record.unit)
         if former is None or former.to_json() != record.to_json():  # as JSON undefined numbers are equal
-            append_record(folder, record)
+            append_line(folder / RESULTS_NAME, record.to_json())
             known[record.unit] = record
         yield record
         units += bool(record.method)
         if on_unit and record.method:
             on_unit(units, record)
-
-
-def _records(plan: EvaluationPlan, known: KnownRecords) -> Iterator[UnitRecord]:
-    yield from plan.findings
-    worker = _UnitRunner(plan.job)
-    for pair in plan.pairs:
-        yield from worker.records(pair, plan.methods, known)
 
 
 class _UnitRunner:

@@ -13,21 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.evaluation.metrics import image as metrics
 from omnisyn_cli.evaluation.metrics.artefacts import PhotographEdges, flying_share, shard_share
 from omnisyn_cli.evaluation.metrics.depth import confidence_metrics, depth_metrics, left_right_metrics, scored_pixels
-from omnisyn_cli.evaluation.metrics.image import (
-    SSIM_WINDOW,
-    Masks,
-    Picture,
-    end_masks,
-    end_psnr,
-    kind_figures,
-    lrce,
-    psnr,
-    ssim,
-    ws_psnr,
-    ws_ssim,
-)
+from omnisyn_cli.evaluation.metrics.image import Masks, Picture
 from omnisyn_cli.evaluation.metrics.photographs import photograph_scores
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord
@@ -88,8 +77,8 @@ def _kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Masks:
     """Where pixels of each kind are in a frame; without geometry only the ends."""
     shown = made.renderings(waypoint)
     if shown is None:
-        return end_masks(size)
-    return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **end_masks(size)}
+        return metrics.end_masks(size)
+    return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **metrics.end_masks(size)}
 
 
 def _frame_records(
@@ -106,7 +95,7 @@ def _frame_records(
             scores = photograph_scores(image, target.image, target.usable) | scores
         elif isinstance(target, TrueFrame):
             scores = frame_scores(image, target.image, perceptual) | scores
-            by_kind = kind_figures(image, target.image, masks)
+            by_kind = metrics.kind_figures(image, target.image, masks)
             if number > 0:
                 scores["change_psnr"] = changes[number - 1]
             if is_depth_known:
@@ -122,14 +111,14 @@ def _clip_to_unit(image: Picture) -> Picture:
 def frame_scores(image: Picture, truth: Picture, perceptual: Perceptual | None = None) -> dict[str, float]:
     """All measures of :class:`omnisyn_cli.evaluation.results.FrameRecord`; no structural ones below 11 rows."""
     scores = {
-        "ws_psnr": ws_psnr(image, truth),
-        "psnr": psnr(image, truth),
-        "lrce": lrce(image, truth),
-        "psnr_top": end_psnr(image, truth, is_bottom=False),
-        "psnr_bottom": end_psnr(image, truth, is_bottom=True),
+        "ws_psnr": metrics.ws_psnr(image, truth),
+        "psnr": metrics.psnr(image, truth),
+        "lrce": metrics.lrce(image, truth),
+        "psnr_top": metrics.end_psnr(image, truth, is_bottom=False),
+        "psnr_bottom": metrics.end_psnr(image, truth, is_bottom=True),
     }
-    if len(truth) >= SSIM_WINDOW:
-        scores.update(ws_ssim=ws_ssim(image, truth), ssim=ssim(image, truth))
+    if len(truth) >= metrics.SSIM_WINDOW:
+        scores.update(ws_ssim=metrics.ws_ssim(image, truth), ssim=metrics.ssim(image, truth))
     if perceptual is not None:
         scores["lpips"] = perceptual(image, truth)
     return scores

@@ -15,14 +15,8 @@ from matplotlib.figure import Figure
 from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
 from omnisyn_cli.evaluation.metrics.depth import merged_reliability
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
-from omnisyn_cli.interpolation.planning.figures import (
-    STANDARD_FRAMES,
-    Figures,
-    gain,
-    pareto_front,
-    quality,
-    standard_seconds,
-)
+from omnisyn_cli.interpolation.planning import figures as planned
+from omnisyn_cli.interpolation.planning.figures import Figures
 
 # By the name of the file.
 PLOT_TITLES = {
@@ -149,24 +143,26 @@ def pareto_plot(measured: Sequence[Figures], reference_method: str) -> bytes | N
 
     Full points are on the front. Bars are the standard error of the difference to the default, from pair to pair.
     """
-    rated = sorted((f for f in measured if f.status == "done" and f.scores), key=standard_seconds)
+    rated = sorted((f for f in measured if f.status == "done" and f.scores), key=planned.standard_seconds)
     if not rated:
         return None
     figure, axes = _new_figure(len(rated), FIGURE_HEIGHT + 0.8)
-    front = pareto_front(rated)
-    axes.plot([standard_seconds(f) for f in front], [quality(f) for f in front], color="0.6", zorder=1)
+    front = planned.pareto_front(rated)
+    axes.plot([planned.standard_seconds(f) for f in front], [planned.quality(f) for f in front], color="0.6", zorder=1)
     reference = next((f for f in rated if f.setting.method == reference_method), rated[0])
     for index, figures in enumerate(rated):
-        error = gain(figures, reference)[1]
+        error = planned.gain(figures, reference)[1]
         style = {**_style(index), "markerfacecolor": _colour(index) if figures in front else "white"}
         method, (height, width) = figures.setting.method, figures.setting.size
         axes.errorbar(
-            standard_seconds(figures), quality(figures), yerr=None if math.isnan(error) else error,
+            planned.standard_seconds(figures), planned.quality(figures), yerr=None if math.isnan(error) else error,
             linestyle="none", markersize=7, capsize=2, linewidth=1.0,
             label=_legend_label(f"{method.removeprefix('omnisyn-')}, {width}x{height}"), **style,
         )  # fmt: skip
     axes.set_xscale("log", subs=(2, 3, 5))
-    _finish(figure, axes, f"Seconds of computing for {STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB")
+    _finish(
+        figure, axes, f"Seconds of computing for {planned.STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB"
+    )
     return _png(figure)
 
 

@@ -29,7 +29,7 @@ def evaluate(
         )
     with tempfile.TemporaryDirectory(prefix="omnisyn-eval-") as folder:
         job = engine.EvaluationJob(Path(dataset), Path(folder), methods, **{"pictures": False, **options})
-        return engine.run_evaluation(engine.plan_evaluation(job))
+        return engine.evaluate(engine.plan_evaluation(job), has_report=False)
 
 
 def score(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> dict[str, float]:

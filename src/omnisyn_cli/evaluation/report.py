@@ -22,20 +22,11 @@ from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.bench_settings import DEFAULT_METHOD, machine_in_words
 from omnisyn_cli.evaluation.grouping import Gap, figures_of, finished, gaps
 from omnisyn_cli.evaluation.plots import PLOT_TITLES, pareto_plot, report_plots
-from omnisyn_cli.evaluation.results import UnitRecord, json_values, latest_records
+from omnisyn_cli.evaluation.results import UnitRecord, json_values
 from omnisyn_cli.evaluation.tables import ERROR_NOTE, Cell, Column, Row, Table, format_cell, report_tables
 from omnisyn_cli.evaluation.visualization import ERROR_SCALE, data_uri, depth_sections, frame_sections
-from omnisyn_cli.interpolation.planning.figures import (
-    FRAME_STAGES,
-    STANDARD_FRAMES,
-    Figures,
-    first_seconds,
-    frame_seconds,
-    gain,
-    pair_stages,
-    pareto_front,
-    standard_seconds,
-)
+from omnisyn_cli.interpolation.planning import figures as planned
+from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 # ``subject`` is what was measured: ``frame``, ``kind-psnr``, ``kind-area``, ``kind-error`` (of the pixels of a kind,
@@ -46,9 +37,7 @@ CSV_COLUMNS = (
     "scene", "first", "second", "method", "baseline", "subject", "name", "t", "distance", "metric", "value",
 )  # fmt: skip
 MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")  # characters that mean something in Markdown, and are escaped
-
 WS_PSNR = Column("WS-PSNR, dB", 1)
-
 MEMORY = Column("Memory, MB", -1, 0)  # the greatest resident size of a run
 FRONT_MARK, OTHER_MARK = "●", "○"  # whether a setting is on the Pareto front
 
@@ -60,7 +49,7 @@ def write_report(folder: Path, records: Iterable[UnitRecord], about: Mapping[str
     ``about`` says what was asked for, such as the data set and the command. Pictures that the records name lie in
     ``folder``, whose parent exists. WriteError: the disk is full, or the folder went away.
     """
-    units = latest_records(records)
+    units = list({record.unit: record for record in records}.values())
     about = {**about, **_about_units(units)}
     tables, plots, missing = report_tables(units), report_plots(units), gaps(units)
     page = _environment(autoescape=True).get_template("report.html.j2").render(
@@ -168,20 +157,20 @@ def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
     reference = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
     columns = {
         WS_PSNR: _ws_psnr,
-        Column(f"against {reference.setting.method}, dB", 1): lambda f: gain(f, reference)[0],
-        Column("± dB", 0): lambda f: gain(f, reference)[1],
-        Column(f"{STANDARD_FRAMES} frames, s", -1, 1): standard_seconds,
-        Column("First frame, s", -1, 1): first_seconds,
-        Column("Each further frame, s", -1, 3): frame_seconds,
+        Column(f"against {reference.setting.method}, dB", 1): lambda f: planned.gain(f, reference)[0],
+        Column("± dB", 0): lambda f: planned.gain(f, reference)[1],
+        Column(f"{planned.STANDARD_FRAMES} frames, s", -1, 1): planned.standard_seconds,
+        Column("First frame, s", -1, 1): planned.first_seconds,
+        Column("Each further frame, s", -1, 3): planned.frame_seconds,
         MEMORY: _megabytes,
     }
-    front = pareto_front(measured)
+    front = planned.pareto_front(measured)
     rows = tuple(
         Row(
             f"{FRONT_MARK if f in front else OTHER_MARK} {f.setting.name}",
             tuple(Cell(of(f)) for of in columns.values()),
         )
-        for f in sorted(measured, key=standard_seconds)
+        for f in sorted(measured, key=planned.standard_seconds)
     )
     note = (
         f"Mean of {len(reference.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
@@ -191,7 +180,7 @@ def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
 
 
 def _stage_table(measured: Sequence[Figures]) -> Table:
-    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in pair_stages(figures)))
+    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in planned.pair_stages(figures)))
     stages = ("start", *of_pairs, *FRAME_STAGES)
     columns = (*(Column(stage, -1, 3 if stage in FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
     rows = tuple(_stage_row(figures, stages) for figures in measured)

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, TypeAdapter
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io.documents import append_line, complete_lines
+from omnisyn_cli.io.documents import complete_lines
 
 RESULTS_NAME = "results.jsonl"  # a line per finished unit
 
@@ -105,10 +105,6 @@ class UnitRecord:
         """What the record is about: scene, both panoramas, method."""
         return self.scene, self.first, self.second, self.method
 
-    def mean(self, score: str) -> float:
-        """Mean of a score over the frames that have it; NaN if none has."""
-        return mean(frame.scores[score] for frame in self.frames if score in frame.scores)
-
     def to_json(self) -> dict[str, Any]:
         """Plain values for strict JSON, see :func:`json_values`."""
         values: dict[str, Any] = json_values(asdict(self))
@@ -139,11 +135,6 @@ def json_values(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def append_record(folder: Path, record: UnitRecord) -> None:
-    """Add a line to ``folder/results.jsonl``, see :func:`omnisyn_cli.io.documents.append_line`."""
-    append_line(folder / RESULTS_NAME, record.to_json())
-
-
 def read_records(folder: Path) -> list[UnitRecord]:
     """All complete lines of ``folder/results.jsonl``, if any; InputError: unreadable, or a line is no record."""
     path, records = folder / RESULTS_NAME, []
@@ -156,8 +147,3 @@ def read_records(folder: Path) -> list[UnitRecord]:
                 "folder"
             ) from error
     return records
-
-
-def latest_records(records: Iterable[UnitRecord]) -> list[UnitRecord]:
-    """One record for each unit, the last one, in the order in which the units first appeared."""
-    return list({record.unit: record for record in records}.values())

@@ -1,6 +1,7 @@
 """Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,7 @@ def write_scene(
 
     The folder exists. A pixel has ``supersample``² samples. WriteError: the disk is full, or the folder went away.
     """
-
-    def render(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-        return scenes.render_panorama(scene, pose, size, supersample=supersample, threads=threads)
-
+    render = partial(scenes.render_panorama, scene, size=size, supersample=supersample, threads=threads)
     write_renderings(folder, render, dict(zip(names, path, strict=True)), with_depth=with_depth)
 
 

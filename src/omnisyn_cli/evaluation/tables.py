@@ -188,7 +188,6 @@ KIND_TABLES = tuple(
 DIFFERENCE_COLUMNS = (
     Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),
 )  # fmt: skip
-
 # Below tables with standard errors.
 ERROR_NOTE = (
     "± is the standard error over scenes, or over pairs of a single scene. Marked methods beat another one, and none "

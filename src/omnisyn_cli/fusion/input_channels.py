@@ -38,7 +38,6 @@ LOG_WEIGHT_RATIO, DEPTH_GAP, SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INP
 
 # Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway.
 MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0
-
 # Root mean square difference of two colours up to which the choice between them does not matter, and from which on it
 # matters fully. Set by hand.
 ALIKE_RMS, DIFFERENT_RMS = 0.01, 0.06

@@ -8,8 +8,8 @@ are suppressed, and near the ends of the way, where the correction fades so that
 Source: OmniSyn, section 3.5, with blend weights of photographs in place of colours.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float32
@@ -35,12 +35,8 @@ def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Flo
     return np.asarray(1.0 - dilate(strength, 1), np.float32)
 
 
-class ResidualFusionNetwork(Protocol):
-    """A trained residual fusion network, in whatever runtime."""
-
-    def __call__(self, channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
-        """Blend weights of the warp candidates, given the channels that :class:`InputBuilder` makes."""
-        ...
+ResidualFusionNetwork = Callable[[np.ndarray], np.ndarray]
+"""Takes the channels of :class:`InputBuilder` to blend weights ``(4, height, width)`` of the warp candidates."""
 
 
 def network_size(

@@ -13,23 +13,11 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.compute.threads import run_ranges
-from omnisyn_cli.fusion.blend_kernels import (
-    LayerRows,
-    blend_edge_pixels,
-    kernel_rule,
-    quantization_for,
-    source_offset,
-)
+from omnisyn_cli.fusion import supersampling_kernels as kernels
+from omnisyn_cli.fusion.blend_kernels import LayerRows, blend_edge_pixels, kernel_rule, quantization_for, source_offset
 from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.ghosts import have_same_position
 from omnisyn_cli.fusion.layer_pair import LayerPair
-from omnisyn_cli.fusion.supersampling_kernels import (
-    FIRST_LAYER_EDGE,
-    SECOND_LAYER_EDGE,
-    list_edge_pixels,
-    mark_edge_pixels,
-    prefill_visibility,
-)
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, DirectionTables, EdgePixels, Layer
 
 # Levels of 8 bits by which 3x3 pixels have to vary: below, samples would look like their pixel. Set by hand.
@@ -75,7 +63,7 @@ class EdgeSupersampler:
         """Marks of edge pixels, see :func:`mark_edge_pixels`; the next call overwrites them."""
         first, second = layers.first.inverse_depth, layers.second.inverse_depth
         scale = np.float32(255.0 if picture.dtype.kind == "f" else 255.0 / np.iinfo(picture.dtype).max)
-        mark = partial(mark_edge_pixels, first, second, picture, scale, MIN_CONTRAST_LEVELS, self._marks)
+        mark = partial(kernels.mark_edge_pixels, first, second, picture, scale, MIN_CONTRAST_LEVELS, self._marks)
         run_ranges(mark, self.size[0], self.threads)
         return self._marks
 
@@ -88,13 +76,13 @@ class EdgeSupersampler:
         tile_begins = np.empty((bottom - top, -(-self.size[1] // EDGE_TILE_COLUMNS) + 1), np.int32)
         cols = np.empty(capacity, np.int32)
         sin_a, cos_a = np.empty(2 * capacity, np.float32), np.empty(2 * capacity, np.float32)
-        count = list_edge_pixels(marks, top, tile_begins, cols, self._tables, sin_a, cos_a)
+        count = kernels.list_edge_pixels(marks, top, tile_begins, cols, self._tables, sin_a, cos_a)
         cols, sin_a, cos_a = cols[:count], sin_a[: 2 * count], cos_a[: 2 * count]
 
         def of_layer(layer: Layer, mark: int) -> EdgePixels:
             unknown_counts, known = np.empty_like(tile_begins), np.empty((2, 2 * count), np.float32)
             edge_pixels = EdgePixels(top, cols, tile_begins, unknown_counts, known, sin_a, cos_a)
-            prefill_visibility(marks, np.uint8(mark), layer.inverse_depth, edge_pixels)
+            kernels.prefill_visibility(marks, np.uint8(mark), layer.inverse_depth, edge_pixels)
             return edge_pixels
 
-        return of_layer(layers.first, FIRST_LAYER_EDGE), of_layer(layers.second, SECOND_LAYER_EDGE)
+        return of_layer(layers.first, kernels.FIRST_LAYER_EDGE), of_layer(layers.second, kernels.SECOND_LAYER_EDGE)

@@ -26,17 +26,11 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.fusion import warp_candidate_kernels as kernels
 from omnisyn_cli.fusion.blend_kernels import Quantization, quantization_for
 from omnisyn_cli.fusion.blend_rule import LayerArrays
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, MAX_GAP, sqrt_inverse_depth
 from omnisyn_cli.fusion.layer_pair import TILE_ROWS
-from omnisyn_cli.fusion.warp_candidate_kernels import (
-    CandidateArrays,
-    accumulate_candidate,
-    average_candidates,
-    hypothesis_rows,
-    mix_rows,
-)
 from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import SourceSampler
@@ -98,7 +92,7 @@ class WarpCandidates:
         points, everywhere = np.empty(size, np.float32), np.ones((1, 1), np.float32)
         colours = np.empty((4, *size, 4), np.float32)
         for k, (colour, sampler) in enumerate(zip(colours, 2 * self.source_samplers, strict=True)):
-            hypothesis_rows(self.hypotheses[k // 2], everywhere, 0, size[0], points)
+            kernels.hypothesis_rows(self.hypotheses[k // 2], everywhere, 0, size[0], points)
             sampler.sample_rows(points, 0, colour)
         return colours
 
@@ -106,10 +100,10 @@ class WarpCandidates:
         points, colour = np.empty(rows.shape[:2], np.float32), np.empty((*rows.shape[:2], 4), np.float32)
         total = np.zeros_like(colour)
         for k, (weight, sampler) in enumerate(zip(weights, 2 * self.source_samplers, strict=True)):
-            if hypothesis_rows(self.hypotheses[k // 2], weight, top, height, points):
+            if kernels.hypothesis_rows(self.hypotheses[k // 2], weight, top, height, points):
                 sampler.sample_rows(points, top, colour)
-                accumulate_candidate(weight, colour, top, height, total)
-        mix_rows(total, quantization, rows)
+                kernels.accumulate_candidate(weight, colour, top, height, total)
+        kernels.mix_rows(total, quantization, rows)
 
 
 def make_warp_candidates(
@@ -122,14 +116,14 @@ def make_warp_candidates(
     points = [*map(_layer_points, (first, second)), *hypotheses.repeat(2, axis=0)]
     samplers = [*source_samplers[::-1], *source_samplers, *source_samplers]
     min_inverse_depth = MIN_SCALED_INVERSE_DEPTH / baseline
-    arrays = CandidateArrays(
+    arrays = kernels.CandidateArrays(
         np.stack([sampler.sample(each) for sampler, each in zip(samplers, points, strict=True)]),
         np.stack([sampler.occlusion(each, min_inverse_depth) for sampler, each in zip(samplers, points, strict=True)]),
         sqrt_inverse_depth(hypotheses * np.float32(baseline)),
         np.float32(MAX_OCCLUSION),
     )
     channels = np.empty((CANDIDATE_CHANNELS, *(count // CANDIDATE_SCALE for count in hypotheses.shape[1:])), np.float32)
-    average = partial(average_candidates, colours, np.stack(points[:2]), arrays, channels)
+    average = partial(kernels.average_candidates, colours, np.stack(points[:2]), arrays, channels)
     run_ranges(average, channels.shape[1], threads)
     return WarpCandidates(channels, hypotheses, source_samplers)
 

@@ -128,11 +128,9 @@ def rotated_directions(
 
 
 def rotated_image(
-    image: Float[np.ndarray, "rows cols 3"],
-    source_rotation: Float[np.ndarray, "3 3"],
-    target_rotation: Float[np.ndarray, "3 3"],
-    size: tuple[int, int],
-) -> Float[np.ndarray, "height width 3"]:
+    image: Float[np.ndarray, "rows cols 3"], source_rotation: Float[np.ndarray, "3 3"],
+    target_rotation: Float[np.ndarray, "3 3"], size: tuple[int, int],
+) -> Float[np.ndarray, "height width 3"]:  # fmt: skip
     """A panorama (RGB in [0, 1]) as a camera of another orientation and ``size`` sees it: the input of networks.
 
     Bicubic, after area averaging where the panorama is larger. Rotations are those of :func:`rotated_directions`.

@@ -27,7 +27,6 @@ from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 FILLED_CHANNEL = 3  # Input channel with the filled √(inverse depth × baseline) that is corrected
 CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6  # Input channels where matching is reliable: left-right consistent, or sky
-
 # Scale of the corrections. A small one lets a fresh network leave the filled map nearly as it is.
 CORRECTION_SCALE = 0.3
 # Powers of the cosine between two positions that the attention bias is a linear function of: a smooth falloff.

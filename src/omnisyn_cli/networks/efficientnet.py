@@ -19,15 +19,12 @@ STAGES = (
     (1, 3, 1, 1, 32, 16), (2, 3, 2, 6, 16, 24), (2, 5, 2, 6, 24, 40), (3, 3, 2, 6, 40, 80), (3, 5, 1, 6, 80, 112),
     (4, 5, 2, 6, 112, 192), (1, 3, 1, 6, 192, 320),
 )  # fmt: skip
-
 TAPS = (0, 2, 4, 10, 15)  # Blocks whose output is a feature map: the last ones at strides 2, 4, 8, 16 and 32
 CHANNELS = (16, 24, 40, 112, 320)  # Of the feature maps at strides 2, 4, 8, 16 and 32
 
+# Where the outputs of each strided convolution are centred: on the left (0) or right (1) input of every two. That
+# they alternate keeps the drift small: features at stride 4 lie half an input pixel before the centre of their block.
 STRIDE_CENTRE_OFFSETS = (1, 0, 1, 0, 1)
-"""Where the outputs of each strided convolution are centred: on the left (0) or right (1) input of every two.
-
-Alternating keeps the drift small: features at stride 4 lie half an input pixel before the centre of their block.
-"""
 
 EPSILON = 1e-3  # Of batch normalisation, as the published weights were trained with
 

@@ -15,8 +15,6 @@ from omnisyn_cli.networks.interface import Network
 
 OPSET = 18  # Of ONNX; ONNX Runtime reads it since 1.14
 PARITY = 1e-4  # Largest difference between torch and ONNX Runtime, relative to the largest value, that is accepted
-
-
 MIN_HALVED_WEIGHTS = 1024  # Size of a tensor below which the cast costs more bytes than halves save
 
 

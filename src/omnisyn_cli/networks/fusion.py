@@ -25,12 +25,9 @@ from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 # Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 # of the depth hypotheses.
 SEEN_SLICE, RELEVANCE_CHANNEL, HYPOTHESIS_SLICE = slice(15, 17), 17, slice(44, 46)
-
 MIN_SURFACE_DIFFERENCE = 0.06  # Relative difference of inverse depth between two depth hypotheses of different surfaces
-
 # Floor of inverse depth × baseline in relative differences: a thousandth moves a pixel by nothing.
 MIN_INVERSE_DEPTH = 1e-3
-
 INITIAL_LOGIT_GAP = 4.0  # A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is
 LOGIT_SCALE = 8.0  # Factor on the output of the last convolution, which begins at zero: it leaves that sooner
 
@@ -63,14 +60,11 @@ FUSION_VARIANTS = {
 class ResidualFusionUNet(RefinementUNet):
     """Input channels in, weights of candidates out; any size that is a multiple of ``config.size_multiple``."""
 
+    output_names = ("shares",)
+
     def __init__(self, config: FusionConfig) -> None:
         super().__init__(config, outputs=4)
         nn.init.zeros_(self.head.weight)
-
-    @property
-    def ports(self) -> Ports:
-        """Input channels of any size."""
-        return Ports({"planes": self.config.channels}, ("shares",))
 
     def forward(self, channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 4 height width"]:
         """The weights of the backward-warped candidates; the geometric fusion has the rest of 1."""

@@ -26,23 +26,17 @@ from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, size
 from omnisyn_cli.networks.paper import upsample_linear
 
 STRIDE = 4  # Of the cost volume and of the guidance
-
 # √(inverse depth × baseline) of the best match, share of a cell that is left-right consistent, share that is sky, root
 # of the filled map, the first of them where it is consistent, and whether there is guidance. All are zero where there
 # is none.
 GUIDANCE_CHANNELS = 6
-
 SPHERES_AT_ONCE = 3  # Those that features are gathered for: their maps fit the cache of a processor
-
 # Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``.
 FEATURE_SHIFT = -0.125
-
 LOG_SCALES = (-6.0, 2.0)  # Bounds of the log of the Laplace scale
 CONFIDENCE_TOLERANCE = 1.1**0.5 - 1.0  # Relative error of √(inverse depth) where depth is 10 % off
-
 # Channels: direction (3), cosine to the other camera, slope of the baseline, best cost, expected √(inverse depth).
 GEOMETRY_CHANNEL_COUNT = 7
-
 SHARPNESS = 8.0  # Factor on correlations before the softmax that the expected √(inverse depth) is weighted by
 
 

@@ -130,14 +130,12 @@ def upsample_linear(x: Tensor, factor: int) -> Tensor:
 
 FEATURE_STRIDE = 4  # Pixels of the image per cell of the sphere volume
 MAX_INVERSE_DEPTH = 4.0  # Largest inverse depth × baseline that is predicted: a quarter of the baseline away
-
 # Relative difference between the heads at which the confidence is a half: a tenth, as confidence is of 10 %.
 HALF_CONFIDENCE_DIFFERENCE = 0.1
 # Inverse depth × baseline below which differences are no longer relative: twenty baselines away.
 MIN_RELATIVE_INVERSE_DEPTH = 0.05
 # Inverse depth × baseline that a fresh network's low head predicts everywhere, more or less: four baselines away.
 INITIAL_INVERSE_DEPTH = 0.25
-
 INITIAL_COLOUR_WEIGHT = 2.0  # How much less a fresh network weighs a sphere where colours differ by one
 RANDOM_INIT_SCALE = 0.1  # Factor on the random weights beside the colour sweep, so that they do not drown it
 RGB_CHANNELS = 3  # Of a panorama or a rendering
@@ -218,10 +216,9 @@ def sweep_grid(
 
 
 def sweep_volume(
-    first: Float[Tensor, "batch channels height width"],
-    second: Float[Tensor, "batch channels height width"],
+    first: Float[Tensor, "batch channels height width"], second: Float[Tensor, "batch channels height width"],
     grid: Float[Tensor, "levels height width 2"],
-) -> Float[Tensor, "batch channels levels height width"]:
+) -> Float[Tensor, "batch channels levels height width"]:  # fmt: skip
     """Absolute difference of the first panorama's features and the second's on each sphere, single precision."""
     batch, channels, height, width = sizes(first)
     levels = sizes(grid)[0]

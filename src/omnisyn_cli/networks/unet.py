@@ -61,6 +61,8 @@ class RefinementUNet(Hourglass, Network):
     Networks inherit the layers, so that checkpoints name them without a prefix, and initialise the last one, ``head``.
     """
 
+    output_names = Ports.outputs
+
     def __init__(self, config: RefinementUNetConfig, outputs: int) -> None:
         channels, fine = config.channels, config.fine
         super().__init__(4 * channels, config.widths)
@@ -74,7 +76,7 @@ class RefinementUNet(Hourglass, Network):
     @property
     def ports(self) -> Ports:
         """Input channels of any size."""
-        return Ports({"planes": self.config.channels})
+        return Ports({"planes": self.config.channels}, self.output_names)
 
     def predict(
         self, channels: Float[Tensor, "batch channels height width"]

@@ -16,14 +16,9 @@ if TYPE_CHECKING:
 
 
 def make_method(
-    config: RunConfig,
-    size: tuple[int, int],
-    *,
-    threads: int | None = None,
-    clock: Stopwatch | None = None,
-    estimator: DepthEstimator | None = None,
-    fuser: Fuser | None = None,
-) -> Method:
+    config: RunConfig, size: tuple[int, int], *, threads: int | None = None, clock: Stopwatch | None = None,
+    estimator: DepthEstimator | None = None, fuser: Fuser | None = None,
+) -> Method:  # fmt: skip
     """What makes frames of a size, (height, width), by a config; the clock collects seconds by stage.
 
     Surfaces may have another estimator and fuser. InputError: a network cannot be loaded, or there is no such device.

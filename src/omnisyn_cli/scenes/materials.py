@@ -79,7 +79,6 @@ def random_material(
 
 
 PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS)  # Patterns with holes, which rays pass
-
 # A material as kernels read it: colours are linear; for photographs see :class:`PhotoMapping`.
 PACKED_MATERIAL = np.dtype([
     ("pattern", "i8"), *((name, "f8", 3) for name in COLOURS), ("cell", "f8", 2), ("line", "f8"), ("grain", "f8"),
@@ -101,10 +100,8 @@ def pack_materials(materials: Sequence[Material]) -> np.ndarray:
 
 
 MIP_LEVELS = 12  # Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated
-
 # Share of a scene's materials that become photographs: each scene draws its own in this range.
 PHOTO_SHARE_RANGE = (0.3, 0.9)
-
 MIN_PICTURE_SHARE = 0.85  # Share of the pictures on walls that become photographs at least; chosen by eye
 GLASS_MIN_GLOSS = 0.8  # Gloss from which on a plain material is glass or a screen and keeps its colour
 

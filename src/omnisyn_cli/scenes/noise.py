@@ -12,8 +12,6 @@ from omnisyn_cli.compute.jit import fast_subkernel
 
 _PERIOD = 128  # lattice points before the noise repeats, a power of two
 _MASK = _PERIOD - 1
-
-
 # Random values, uniform in [0, 1), that all noise interpolates: a table costs less than hashing.
 LATTICE = np.random.default_rng(20220809).random((_PERIOD, _PERIOD), dtype=np.float32)
 

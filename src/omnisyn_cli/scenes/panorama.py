@@ -77,25 +77,10 @@ def render_panorama(
 
     Arguments as of :func:`omnisyn_cli.scenes.mesh.render.render`.
     """
-    positions = pose.position[None]
-    images, depths = render_views(scene, pose.rotation, positions, size, supersample=supersample, threads=threads)
-    return images[0], depths[0]
-
-
-def render_views(
-    scene: Scene, rotation: Float[np.ndarray, "3 3"], positions: Float[np.ndarray, "views 3"], size: tuple[int, int], *,
-    supersample: int = 2, threads: int | None = None,
-) -> tuple[Float[np.ndarray, "views height width 3"], Float[np.ndarray, "views height width"]]:  # fmt: skip
-    """Images and depths, as of :func:`render_panorama`, from several positions in one rotated frame.
-
-    ``rotation`` is world from camera, for example with the epipoles at the poles; ``positions`` are in metres.
-    """
     if min(size) < 1 or supersample < 1:
         raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
-    drawn, poses = _drawn(scene), [Pose(rotation, position) for position in positions]
-    views = [render(drawn.caster, lambda _: drawn.shade, pose, size, supersample, threads) for pose in poses]
-    images, depths = zip(*views, strict=True)
-    return np.stack(images), np.stack(depths)
+    drawn = _drawn(scene)
+    return render(drawn.caster, lambda _: drawn.shade, pose, size, supersample, threads)
 
 
 def trace_rays(

@@ -21,15 +21,12 @@ from omnisyn_cli.scenes.street import street
 
 _MAX_ATTEMPTS = 400  # Paths that are drawn before a scene has no room for one. Set by hand.
 _MAX_CLIMB = 2.0  # Metres of a path that goes straight up, unless more is asked for
-
 # Factor on a baseline at every attempt, where it may be shortened: about a fifth is left after a hundred.
 _BASELINE_DECAY = 0.985
 
+# Rows and columns of the rays cast from an end, and the quantile of their lengths that counts as the nearest depth: one
+# twig beside the camera does not shorten the path.
 _PROBE_SIZE, _NEAR_QUANTILE = (8, 16), 0.04
-"""Rows and columns of the rays cast from an end, and the quantile of their lengths that counts as the nearest depth.
-
-A quantile instead of the minimum: one twig beside the camera does not shorten the path.
-"""
 
 
 def sample_path(
@@ -135,7 +132,6 @@ STANDARD_KINDS = ("street", "room")  # Generators of the standard set; others ma
 SUITE_SEEDS = (9_000_001, 9_000_002)  # Far beyond those that networks are trained with
 BASELINES = (1.0, 2.0, 4.0, 6.0)  # Metres from the first to the last panorama, ascending
 FRAMES_PER_WALK = 5  # Two inputs, and three true frames at equal distances between them
-
 # Decimals of the ends in metres: micrometres, far coarser than the arithmetic of two machines may differ.
 POSITION_DECIMALS = 6
 

@@ -23,7 +23,6 @@ EXTRAS = (
     furniture.kitchen_unit, furniture.tripod, furniture.chair, furniture.armchair, furniture.plant,
     furniture.floor_lamp, furniture.table, furniture.shelf,
 )  # fmt: skip
-
 BASELINE_RANGE = (0.25, 8.0)  # Shortest and longest distance between the first and the last camera, metres
 MAX_BASELINE_IN_DEPTHS = 3.0  # Longest baseline, in multiples of the depth of the nearest surface
 

@@ -32,16 +32,13 @@ class Shape(IntEnum):
     CONE = 3
 
 
+# One shape of a scene. ``rotation`` is world from local, ``half`` the half sizes in metres; ``material`` has the rows
+# of the materials of the sides and of the faces up and down (boxes, cylinders and cones). ``tint`` is a factor on the
+# colours, ``variation`` makes two shapes of one material differ.
 PACKED_SHAPE = np.dtype([
     ("kind", "i8"), ("centre", "f8", 3), ("rotation", "f8", (3, 3)), ("half", "f8", 3), ("material", "i8", 2),
     ("tint", "f8"), ("casts_shadow", "?"), ("variation", "i8"),
 ])  # fmt: skip
-"""One shape of a scene.
-
-``rotation`` is world from local, ``half`` the half sizes in metres. ``material`` has the rows of the materials of the
-sides and of the faces up and down (of boxes, cylinders and cones). ``tint`` is a factor on the colours, ``variation``
-makes two shapes of one material differ.
-"""
 
 
 def _box() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -61,7 +58,6 @@ def _lathe(radii: np.ndarray, heights: np.ndarray, axes: list[int]) -> tuple[np.
 
 
 _LATITUDES = np.linspace(np.pi, 0.0, SEGMENTS // 2 + 1)
-
 # Vertices, faces and the axis of each face: the local axis that it faces, 1 up and down; 0 where it is curved.
 UNIT_SHAPES = {
     Shape.BOX: _box(),

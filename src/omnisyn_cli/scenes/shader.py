@@ -12,10 +12,8 @@ from omnisyn_cli.scenes.scene import Shape
 from omnisyn_cli.scenes.textures import FacePoint, is_hole, pattern_at
 
 PATCHES_PER_PHOTO = 0.6  # Patches of the ground whose texture is turned, per width of a photograph; chosen by eye
-
 # How the footprint grows with the slant: 1 blurs a photograph to its long side, 0.5 to the mean of both sides.
 SLANT_EXPONENT = 0.75
-
 SHADOW_RAY_OFFSET = 1e-3  # Metres between a surface and the start of its shadow ray, so that it does not shadow itself
 
 

@@ -23,12 +23,9 @@ from omnisyn_cli.training.tasks import TASKS, kinds_for, parts_of
 REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 # What compact ones keep besides weights, as far as there is any.
 KEPT_KEYS = ("kind", "network", "training", "step", "scores", "best", "pool", "curve")
-
 MAX_REASON_CHARS = 200  # Characters of what torch says that are passed on
-
 # Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom.
 SEARCH_PATTERNS = ("[!.]*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/[!.]*.pt", "*/checkpoints/[!.]*.pt")
-
 SYNSIN = "synsin"  # The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …
 
 

@@ -30,7 +30,6 @@ Sample = TypeVar("Sample")
 
 # By the command that makes a kind of pool, an array that only its files have.
 REQUIRED_ARRAYS = {"pool": "positions_0", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
-
 MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbouring pixels of one surface
 
 

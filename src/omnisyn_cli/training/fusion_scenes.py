@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
@@ -27,6 +26,7 @@ from omnisyn_cli.fusion import warp_candidates as warp
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import WarpCandidates
 from omnisyn_cli.geometry.pose import interpolate_pose
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import direction_tables, mean_over_sphere
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -61,24 +61,17 @@ COLOUR_CHANNELS = (
     *range(warp.CANDIDATE_RGB, warp.HYPOTHESIS_DEPTHS, 3),
 )  # fmt: skip
 # Channels that are differences of colours.
-DIFFERENCE_CHANNELS = (
-    warp.CROSS_VIEW + 3,
-    warp.CROSS_VIEW + 9,
-    warp.CANDIDATE_DIFFERENCE,
-    warp.CANDIDATE_DIFFERENCE + 1,
-)
+DIFFERENCE_CHANNELS = [warp.CROSS_VIEW + 3, warp.CROSS_VIEW + 9, *(warp.CANDIDATE_DIFFERENCE + k for k in range(2))]
 # Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter.
 WINDOW_DIVISOR = 4
-
 MIN_RELEVANCE = 1e-3  # Relevance of a column without any, so that windows are drawn there as well, now and then
-
 # Difference of √(inverse depth × baseline) between depth hypotheses that matters, and its relevance beside that of a
 # contradiction between the views.
 MIN_HYPOTHESIS_GAP, HYPOTHESIS_RELEVANCE = 0.05, 0.3
 # Where the channels of the stored pictures are when the views change places.
 SWAPPED_PICTURES = [*range(3), *range(6, 9), *range(3, 6), *range(12, 15), *range(9, 12)]
 # Channels that change their sign then.
-SIGNED_CHANNELS = (channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POSITION)
+SIGNED_CHANNELS = [channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POSITION]
 
 
 @dataclass(frozen=True)
@@ -139,16 +132,8 @@ class _RecordingFuser(ResidualFuser):
     ) -> None:
         """See :class:`omnisyn_cli.fusion.residual.ResidualFuser`; nothing is corrected."""
         pictures = [picture, *candidates.candidates(self.size)[..., :3]]
-        shown = [downsample_channels_first(each, self._stored_size) for each in pictures]
+        shown = [resize_area(each, self._stored_size).transpose(2, 0, 1) for each in pictures]
         self.seen.append((channels, np.concatenate(shown)))
-
-
-def downsample_channels_first(
-    picture: Float32[np.ndarray, "height width 3"], size: tuple[int, int]
-) -> Float32[np.ndarray, "3 rows cols"]:
-    """A picture at a smaller size, channels first."""
-    small = cv2.resize(np.ascontiguousarray(picture, np.float32), size[::-1], interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(small.transpose(2, 0, 1))
 
 
 def make_fusion_scene(folder: Path, seed: int, config: FusionSceneConfig) -> Path | None:
@@ -226,7 +211,7 @@ def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) 
     method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
     for k, _ in enumerate(synthesize(pair.ends, pair.path, method)):
         if fuser.seen:
-            truth = downsample_channels_first(pair.truth(k), stored_size)
+            truth = resize_area(pair.truth(k), stored_size).transpose(2, 0, 1)
             for channels, pictures in fuser.seen:
                 error = mean_over_sphere(np.square(pictures[:3] - truth).transpose(1, 2, 0))
                 half, squared = np.float16, np.asarray(error, np.float32)
@@ -256,7 +241,7 @@ def _augment(sample: FusionBatch, rng: np.random.Generator) -> FusionBatch:
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
     for begin in COLOUR_CHANNELS:
         channels[begin : begin + 3] = (channels[begin : begin + 3] * tint)[order]
-    channels[list(DIFFERENCE_CHANNELS)] *= tint.mean()
+    channels[DIFFERENCE_CHANNELS] *= tint.mean()
     pictures, truth = ((x.reshape(-1, 3, *x.shape[1:]) * tint)[:, order].reshape(x.shape) for x in (pictures, truth))
     if rng.random() < 0.5:
         channels, pictures = swap_views(channels), pictures[SWAPPED_PICTURES]
@@ -299,5 +284,5 @@ def swap_views(channels: Float32[np.ndarray, "channels height width"]) -> Float3
     for first, second, count in SWAPPED_CHANNELS:
         other[first : first + count] = channels[second : second + count]
         other[second : second + count] = channels[first : first + count]
-    other[list(SIGNED_CHANNELS)] *= -1.0
+    other[SIGNED_CHANNELS] *= -1.0
     return other

@@ -27,7 +27,6 @@ from omnisyn_cli.training.walks import baseline_ratios
 
 MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
 MIN_BASELINE_RATIO = 0.03  # Baselines over median depth below this are not drawn where there are others
-
 # Share of the pairs whose cameras are held askew, and the standard deviation of pitch and roll, radians.
 TILT_SHARE, TILT = 0.35, 0.03
 # Share of the pairs with a cap of one colour at the nadir, and its least and greatest radius in degrees.
@@ -36,7 +35,6 @@ CAP_SHARE, CAP_RADII = 0.25, (4.0, 26.0)
 COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
 # Errors count more where √(inverse depth × baseline), s, is small: the weight is 1 + weight / (floor + s).
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
-
 GRADIENT_SCALES = 4  # Gradients are compared at strides 1, 2, 4, …
 UNMATCHED_WEIGHT = 1.0  # Errors count more by this where matching found nothing consistent
 MIN_JUDGED = 0.03  # √(inverse depth × baseline) below which nothing is judged by its ratio

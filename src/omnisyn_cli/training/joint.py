@@ -151,11 +151,9 @@ def joint_pictures(answer: JointAnswer, triples: Triples) -> dict[str, np.ndarra
 
 
 def channels_between(
-    inverse_depth: Float[Tensor, "2 batch rows cols"],
-    confidence: Float[Tensor, "2 batch rows cols"],
-    textures: Float[Tensor, "2 batch 3 rows cols"],
-    position: Float[Tensor, " batch"],
-) -> Float[Tensor, "batch channels rows cols"]:
+    inverse_depth: Float[Tensor, "2 batch rows cols"], confidence: Float[Tensor, "2 batch rows cols"],
+    textures: Float[Tensor, "2 batch 3 rows cols"], position: Float[Tensor, " batch"],
+) -> Float[Tensor, "batch channels rows cols"]:  # fmt: skip
     """What the fusion network sees of pairs, from positions (shares of the way) between them.
 
     Gradients flow to inverse depth × baseline and to textures, the colours of both panoramas.
@@ -176,11 +174,9 @@ def filled(image: Float[Tensor, "height width 3"], weight: Float[Tensor, "height
 
 
 def render_between(
-    inverse_depth: Float[Tensor, "rows cols"],
-    confidence: Float[Tensor, "rows cols"],
-    texture: Float[Tensor, "3 rows cols"],
-    ahead: float,
-) -> LayerArrays:
+    inverse_depth: Float[Tensor, "rows cols"], confidence: Float[Tensor, "rows cols"],
+    texture: Float[Tensor, "3 rows cols"], ahead: float,
+) -> LayerArrays:  # fmt: skip
     """One panorama as it is seen, in the forward frame, from ``ahead`` baselines further on, at its own size."""
     surface = inverse_depth.detach().cpu().numpy()
     mesh = build_mesh(surface, confidence=confidence.cpu().numpy())

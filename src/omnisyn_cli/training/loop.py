@@ -29,7 +29,6 @@ from omnisyn_cli.training.tasks import HELD_OUT_LOSS, TASKS, NetworkConfig, Trai
 
 # Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation.
 CHECKPOINT, BEST_CHECKPOINT, LOG = "checkpoint.pt", "best.pt", "log.jsonl"
-
 COLLAPSE_LOSS_RATIO = 1.25  # Ratio of the loss to the least so far from which on the run does not recover
 PROCESSOR = Precision(torch.device("cpu"))  # The processor in single precision
 
@@ -194,17 +193,10 @@ class Trainer:
 
 
 def train(
-    network: NetworkConfig,
-    config: TrainConfig,
-    folder: Path,
-    *,
-    minutes: float = math.inf,
-    steps: int | None = None,
-    report: Callable[[dict[str, Any]], None] = lambda row: None,
-    precision: Precision = PROCESSOR,
-    weights: Mapping[str, torch.Tensor] | None = None,
-    on_start: Callable[[Trainer], None] = lambda trainer: None,
-) -> Trainer:
+    network: NetworkConfig, config: TrainConfig, folder: Path, *, minutes: float = math.inf, steps: int | None = None,
+    report: Callable[[dict[str, Any]], None] = lambda row: None, precision: Precision = PROCESSOR,
+    weights: Mapping[str, torch.Tensor] | None = None, on_start: Callable[[Trainer], None] = lambda trainer: None,
+) -> Trainer:  # fmt: skip
     """Train until the time or the steps are over or a cool-down has ended; goes on where ``folder`` was left.
 
     Writes into ``folder``: ``checkpoint.pt`` (to resume), ``best.pt`` (compact, of the least loss of what the network

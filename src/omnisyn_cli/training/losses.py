@@ -5,8 +5,6 @@ angle, that is, by solid angle; figures of depth count pixels. Targets are NaN w
 taught or judged there.
 """
 
-from collections.abc import Iterator
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -73,10 +71,9 @@ def _masked_mean(error: Tensor, known: Tensor) -> Tensor:
 
 
 def completion_loss(
-    prediction: CompletionPrediction,
-    target: Float[Tensor, "batch 1 height width"],
+    prediction: CompletionPrediction, target: Float[Tensor, "batch 1 height width"],
     reliable: Float[Tensor, "batch 1 height width"],
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Expected L1 of both modes, L1 of the likelier one, their log-loss, gradients, edges, log-loss of the confidence.
 
     Where matching is reliable (1), away from silhouettes, all but the gradients counts less than elsewhere (0).
@@ -118,22 +115,14 @@ def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
 
 def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
     """L1 of the differences of neighbours: on surfaces, and where the target jumps (the plain L1 has its position)."""
-    gradients, edges = [], []
-    for error, is_edge, both_known in _neighbour_step_errors(sqrt_inv_depth, target, known):
+    gradients, edges, weights = [], [], polar_weights(target)
+    for dimension, kept in ((-1, slice(None)), (-2, slice(-1))):  # to the right, over the seam, and below
+        step, true_step = (x.roll(-1, dimension) - x for x in (sqrt_inv_depth, target))
+        error, both_known = ((step - true_step).abs() * weights)[..., kept, :], known * known.roll(-1, dimension)
+        is_edge, both_known = true_step.abs()[..., kept, :] >= MIN_EDGE_STEP, both_known[..., kept, :]
         gradients.append(_masked_mean(error * ~is_edge, both_known))
         edges.append((error * is_edge * both_known).mean())
     return torch.stack(gradients).sum(), torch.stack(edges).sum()
-
-
-def _neighbour_step_errors(
-    sqrt_inv_depth: Tensor, target: Tensor, known: Tensor
-) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Right (over the seam) and below: weighted error, whether the target jumps, and whether both are known."""
-    weights = polar_weights(target)
-    for dimension, kept in ((-1, slice(None)), (-2, slice(-1))):
-        step, true_step = (x.roll(-1, dimension) - x for x in (sqrt_inv_depth, target))
-        error, both_known = (step - true_step).abs() * weights, known * known.roll(-1, dimension)
-        yield error[..., kept, :], true_step.abs()[..., kept, :] >= MIN_EDGE_STEP, both_known[..., kept, :]
 
 
 def _is_correct(inverse_depth: Tensor, target: Tensor, factor: float = MAX_CORRECT_RATIO) -> Tensor:
@@ -172,11 +161,9 @@ def depth_scores(
 
 @torch.no_grad()
 def completion_scores(
-    prediction: DepthPrediction,
-    filled: Float[Tensor, "batch 1 height width"],
-    target: Float[Tensor, "batch 1 height width"],
-    reliable: Float[Tensor, "batch 1 height width"],
-) -> dict[str, float]:
+    prediction: DepthPrediction, filled: Float[Tensor, "batch 1 height width"],
+    target: Float[Tensor, "batch 1 height width"], reliable: Float[Tensor, "batch 1 height width"],
+) -> dict[str, float]:  # fmt: skip
     """Accuracy where matching is unreliable (0), and elsewhere (1); means weigh pixels by solid angle.
 
     ``unsure`` is that share of the sphere; over it mean absolute ``error``, shares ``within_5`` and ``within_25`` %,
@@ -211,9 +198,7 @@ def completion_scores(
 
 # Weights of absolute errors, and of squared errors in units of the typical one.
 ABSOLUTE_WEIGHT, SQUARED_WEIGHT = 0.5, 0.02
-
 TYPICAL_SQUARED_ERROR = 5e-3  # Squared error of the geometric fusion where it is not known: 23 dB
-
 # Floors: easy scenes count at most as those of 40 dB; no picture counts as better than 100 dB.
 MIN_TYPICAL_ERROR, MIN_SQUARED_ERROR = 1e-4, 1e-10
 
@@ -234,10 +219,9 @@ def network_inputs(
 
 
 def fuse_with(
-    network: ResidualFusionUNet | DirectFusionUNet,
-    channels: Float[Tensor, "batch channels height width"],
+    network: ResidualFusionUNet | DirectFusionUNet, channels: Float[Tensor, "batch channels height width"],
     pictures: Float[Tensor, "batch 15 rows cols"],
-) -> Float[Tensor, "batch 3 _ _"]:
+) -> Float[Tensor, "batch 3 _ _"]:  # fmt: skip
     """The fused picture: predicted directly, at the size of the channels, or a mix of the candidates, at theirs."""
     answer = network(network_inputs(network.config, channels))
     return answer if network.config.is_direct else mix_candidates(pictures, answer)
@@ -278,11 +262,9 @@ def fusion_loss(
 
 @torch.no_grad()
 def fusion_scores(
-    picture: Float[Tensor, "1 3 height width"],
-    channels: Float[Tensor, "1 channels _ _"],
-    truth: Tensor,
+    picture: Float[Tensor, "1 3 height width"], channels: Float[Tensor, "1 channels _ _"], truth: Tensor,
     geometric: Tensor,
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """Of a picture and the geometric fusion, both as large as it: ``ws_psnr`` in dB, and its ``gain`` over that.
 
     Mean absolute ``hole_error``, NaN without holes, and ``hole_gain``, by how much it is less than that of the fusion.

@@ -19,13 +19,10 @@ from omnisyn_cli.types import View
 # √(inverse depth × baseline) of the best match, share that is left-right consistent, share that is sky, and the root of
 # the filled map.
 MATCHING_CHANNELS = 4
-
 MATCHED_PAIRS = 3  # Of a walk: its ends, and two others
 MATCHED_RATIOS = (0.02, 2.6)  # Baseline over median depth of pairs that are matched
-
 # Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians.
 POSE_ERROR_SHARE, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
-
 CELL = 2  # Rows of matching that make one of the guidance
 
 

@@ -9,15 +9,13 @@ from torch import Tensor
 MAX_SHOWN_ERROR = 0.25
 # Percentile of the truth that has the last colour: a few pixels at the nadir would take the whole scale.
 NEAR_PERCENTILE = 99.0
-
 SHEET_GAP_PIXELS = 4  # Pixels between the pictures of a sheet
 
 
 def depth_pictures(
-    image: Float[Tensor, "3 height width"],
-    sqrt_inv_depth: Float[Tensor, "height width"],
+    image: Float[Tensor, "3 height width"], sqrt_inv_depth: Float[Tensor, "height width"],
     truth: Float[Tensor, "height width"],
-) -> dict[str, Float32[np.ndarray, "height width 3"]]:
+) -> dict[str, Float32[np.ndarray, "height width 3"]]:  # fmt: skip
     """``input``, ``prediction``, ``truth`` and ``error`` as RGB in [0, 1].
 
     Estimated and true √(inverse depth × baseline) have the Turbo colours (red is near, dark blue infinitely far, both

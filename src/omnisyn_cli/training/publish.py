@@ -36,15 +36,9 @@ class _Part:
 
 
 def publish(
-    checkpoint: Path,
-    folder: Path,
-    *,
-    name: str | None = None,
-    pool: Path | None = None,
-    training: str = "",
-    licence: str = "Apache-2.0",
-    overwrite: bool = False,
-) -> list[tuple[ModelEntry, float]]:
+    checkpoint: Path, folder: Path, *, name: str | None = None, pool: Path | None = None, training: str = "",
+    licence: str = "Apache-2.0", overwrite: bool = False,
+) -> list[tuple[ModelEntry, float]]:  # fmt: skip
     """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
 
     The folder gets ``NAME.onnx`` (of several ``NAME-ROLE.onnx``; the name is ``ROLE-VARIANT`` or ``synsin`` unless

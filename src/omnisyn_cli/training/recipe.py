@@ -223,18 +223,11 @@ class RecipeTrainer(Trainer):
 
 
 def train_recipe(
-    recipe: Recipe,
-    folder: Path,
-    *,
-    textures: Path | None = None,
-    meshes: MeshSource | None = None,
-    encoder: Mapping[str, Tensor] | None = None,
-    begin_with: Path | None = None,
-    minutes: float = math.inf,
-    report: Callable[[dict[str, float]], None] = lambda row: None,
-    precision: Precision = PROCESSOR,
+    recipe: Recipe, folder: Path, *, textures: Path | None = None, meshes: MeshSource | None = None,
+    encoder: Mapping[str, Tensor] | None = None, begin_with: Path | None = None, minutes: float = math.inf,
+    report: Callable[[dict[str, float]], None] = lambda row: None, precision: Precision = PROCESSOR,
     on_start: Callable[[RecipeTrainer], None] = lambda trainer: None,
-) -> RecipeTrainer:
+) -> RecipeTrainer:  # fmt: skip
     """Train by a recipe until it is done or the time is over; goes on where ``folder`` was left.
 
     Writes ``checkpoint.pt`` (to resume), ``best.pt`` and ``latest.pt`` (compact: of the least error, of the last

@@ -9,21 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omnisyn_cli.networks.completion import (
-    COMPLETION_VARIANTS,
-    FILLED_CHANNEL,
-    CompletionConfig,
-    CompletionNetwork,
-    CompletionPrediction,
-    reliable_mask,
-)
+from omnisyn_cli.networks import completion, guided_depth
+from omnisyn_cli.networks.completion import FILLED_CHANNEL, CompletionConfig, reliable_mask
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
-from omnisyn_cli.networks.guided_depth import (
-    GUIDED_DEPTH_VARIANTS,
-    GuidedDepthConfig,
-    GuidedDepthNetwork,
-    GuidedDepthPrediction,
-)
+from omnisyn_cli.networks.guided_depth import GuidedDepthConfig
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
@@ -136,17 +125,17 @@ def _depth_pictures(answer: DepthPrediction, batch: Any) -> dict[str, np.ndarray
     return depth_pictures(batch.first[0], answer.inverse_depth()[0, 0].sqrt(), batch.sqrt_inv_depth[0, 0])
 
 
-def _guided_pictures(answer: GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
+def _guided_pictures(answer: guided_depth.GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
     """With the confidence from black to white."""
     return _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
 
 
-def _completion_scores(answer: CompletionPrediction, batch: FeatureBatch) -> dict[str, float]:
+def _completion_scores(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, float]:
     filled = batch.channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1]
     return losses.completion_scores(answer, filled, batch.sqrt_inv_depth, reliable_mask(batch.channels))
 
 
-def _completion_pictures(answer: CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
+def _completion_pictures(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
     """The prediction, the reliable matches, and the map that was filled from these."""
     channels, truth = batch.channels[0], batch.sqrt_inv_depth[0, 0]
     predicted = depth_pictures(channels[:3], answer.inverse_depth()[0, 0].sqrt(), truth)
@@ -171,8 +160,8 @@ TASKS: Mapping[str, Task] = {
     ),
     "guided": Task(
         GuidedDepthConfig,
-        GUIDED_DEPTH_VARIANTS,
-        GuidedDepthNetwork,
+        guided_depth.GUIDED_DEPTH_VARIANTS,
+        guided_depth.GuidedDepthNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_guided(
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
@@ -184,8 +173,8 @@ TASKS: Mapping[str, Task] = {
     ),
     "completion": Task(
         CompletionConfig,
-        COMPLETION_VARIANTS,
-        CompletionNetwork,
+        completion.COMPLETION_VARIANTS,
+        completion.CompletionNetwork,
         draw=lambda pool, rng, stage, _, varied: draw_completion(
             pool, rng, stage.batch, stage.size, augment=varied is not None
         ),

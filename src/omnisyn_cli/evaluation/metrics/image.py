@@ -20,7 +20,6 @@ Masks = Mapping[str, Bool[np.ndarray, "height width"]]
 PEAK = 1.0  # the greatest value of an image
 # Pixels along the side of the Gaussian window, and its standard deviation (Wang et al., 2004).
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
-
 LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
 CONTRAST_FLOOR = (0.03 * PEAK) ** 2
 """C1 and C2 of Wang et al., 2004."""

@@ -22,10 +22,9 @@ GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
 
 
 def confidence_step(
-    first_depth: Float32[np.ndarray, "height width"],
-    second_depth: Float32[np.ndarray, "height width"],
+    first_depth: Float32[np.ndarray, "height width"], second_depth: Float32[np.ndarray, "height width"],
     out: Float32[np.ndarray, "height width"],
-) -> ColourStep:
+) -> ColourStep:  # fmt: skip
     """A step that writes the confidence of some rows, in [0, 1], into ``out``; it changes no colours.
 
     It is 0 where neither layer shows anything; near 1 where both show one colour at one reliable (inverse) depth; 0.6
@@ -71,9 +70,7 @@ def _confidence_rows(first, first_rho, second, second_rho, tolerances, out):
                 out[row, col] = zero
 
 
-def low_confidence_regions(
-    confidence: Float32[np.ndarray, "height width"],
-) -> Float32[np.ndarray, "height width"]:
+def low_confidence_regions(confidence: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
     """Smooth weights in [0, 1]: 1 in regions of low confidence, which may be replaced. Wraps at the seam."""
     height, width = confidence.shape
     rows = min(REGION_ROWS, height)

@@ -27,7 +27,6 @@ MAX_COLOUR_RMS = 0.1
 CONTOUR_ROWS = 23  # the height of a picture in windows whose structure is compared: some 8 degrees each. Set by hand.
 # Standard deviation of grey values from which on a window has structure, and likeness of the same structure.
 MIN_CONTOUR_CONTRAST, MIN_CONTOUR_LIKENESS = 0.04, 0.4
-
 # Decibels that the score falls by where everything is doubled, beyond a share that good pairs have as well. Measured on
 # generated pairs, WS-PSNR falls by 2 dB; a contour that is seen twice disturbs more than that says.
 DOUBLING_DB, MAX_GOOD_DOUBLING = 4.0, 0.1

@@ -32,7 +32,6 @@ SRGB_GAMMA = 2.4
 # Levels in stops at which the gain is kept; it is linear between them and constant beyond. Set by hand.
 KNOTS = np.array([-7.0, -5.5, -4.0, -2.5, -1.5, -0.5])
 USABLE_SRGB = (0.04, 0.97)  # usable sRGB values: darker ones are noise, brighter ones may be clipped. Set by hand.
-
 # Level of the brighter picture up to which a level counts: above, clipped places are missing from its samples, which
 # would bias the median. Set by hand.
 MAX_LEVEL_STOPS = -0.25
@@ -46,7 +45,6 @@ MAX_UNEXPLAINED_SHARE = 0.9
 # Differences count as this at most when a curve is judged: moving things may differ by any amount. Set by hand.
 MAX_OUTLIER_STOPS = 2.0
 INLIER_STOPS = 0.15  # a sample agrees with a curve if it leaves at most this difference. Set by hand.
-
 # Share of inliers beyond chance, of all that chance leaves (Cohen's kappa). On wide generated pairs, curves from right
 # depth reach 0.2 to 0.9, and curves from wrong depth 0.16 in one of the halves.
 MIN_INLIER_EXCESS = 0.18
@@ -56,7 +54,6 @@ MIN_INLIER_GAIN = 0.1
 MIN_ROUGH_GAIN_STOPS = 0.25
 # Quantiles of both pictures that the rough gain compares; the ends are left out. Set by hand.
 QUANTILES = np.linspace(0.05, 0.95, 46)
-
 GAIN_BINS_PER_STOP = 50
 LEVEL_BINS_PER_STOP = 4
 """Resolution of the histogram that medians are read from. Set by hand."""

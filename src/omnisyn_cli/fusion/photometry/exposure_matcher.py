@@ -55,16 +55,23 @@ class ExposureMatcher:
             layer.colour_rows(begin, end, out)
             change(out)
 
-        def subsampled_colours(rows: np.ndarray, cols: np.ndarray) -> Array:
-            colour = layer.subsampled_colours(rows, cols)
-            change(colour)
-            return colour
-
         return replace(
-            layer, colour_rows=colour_rows, subsampled_colours=subsampled_colours, cached_colour=None,
+            layer, colour_rows=colour_rows, subsampled_colours=_exposed(layer.subsampled_colours, change),
+            cached_colour=None,
             edge_samples=None if layer.edge_samples is None else partial(_exposed_samples, layer.edge_samples, change),
             source_sampler=None if layer.source_sampler is None else _exposed_sampler(layer.source_sampler, change),
         )  # fmt: skip
+
+
+def _exposed(colours: Callable[..., Array], change: Callable[[Array], None]) -> Callable[..., Array]:
+    """A function whose colours are exposed."""
+
+    def exposed(*arguments: Any) -> Array:
+        colour = colours(*arguments)
+        change(colour)
+        return colour
+
+    return exposed
 
 
 def _exposed_samples(
@@ -82,12 +89,7 @@ def _exposed_sampler(sampler: SourceSampler, change: Callable[[Array], None]) ->
         sampler.sample_rows(inverse_depth, top, out)
         change(out)
 
-    def sample(inverse_depth: np.ndarray) -> np.ndarray:
-        colour = sampler.sample(inverse_depth)
-        change(colour)
-        return colour
-
-    return replace(sampler, sample_rows=sample_rows, sample=sample)
+    return replace(sampler, sample_rows=sample_rows, sample=_exposed(sampler.sample, change))
 
 
 def clipped_weight_loss(table: Float[np.ndarray, "3 entries"]) -> np.float32:

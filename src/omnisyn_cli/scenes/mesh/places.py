@@ -16,10 +16,8 @@ CLEARANCE = 0.3  # Metres to the nearest surface, at least
 RAYS = 96  # That a place is judged by
 MIN_ENCLOSED_SHARE = 0.52  # Share of the rays that hit something; an empty plane alone is half
 MIN_FLOOR_SHARE = 0.95  # Share of the rays below a place that hit something
-
 # Share of surfaces seen from behind, in the gap between two shells; inside or outside it is nearly none or all.
 BETWEEN_SHELLS = (0.4, 0.6)
-
 LEVEL = 0.8  # Least cosine between the normal of a floor and up
 NEAR_MEDIAN = 0.6  # Metres: places whose median distance is less are inside of things
 BASELINES = (0.12, 2.4)  # Of walks, in median distances

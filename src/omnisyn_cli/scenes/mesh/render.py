@@ -20,10 +20,8 @@ from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
 GOLDEN_RATIO = (1.0 + math.sqrt(5.0)) / 2.0  # Turns of a spiral by it spread points evenly (Fibonacci lattice)
 OFFSET = 2e-3  # Metres above its surface that a point asks for light
 AMBIENT_LIGHT = 0.05  # Light where nothing shines
-
 # Share of the scenes whose sky is as bright as their walls: few rays then leave no edges of shadows on plain walls.
 SOFT = 0.6
-
 LAMPS = (0, 5)  # Least and greatest number of lamps of a scene, less one
 
 
@@ -138,10 +136,8 @@ def _lamps(caster: MeshCaster, rng: np.random.Generator, around: np.ndarray, cou
 SHOULDER = 0.6  # Light up to which the picture is proportional to it; beyond that it nears 1
 MIDDLE_GREY = 0.16  # Light that the 60th percentile of a picture becomes
 EXPOSURES = (0.3, 12.0)  # Least and greatest factor of the exposure
-
 # Distance from the plane of the pixel's centre, relative to that to the camera, within which samples share light.
 SAME_SURFACE = 0.02
-
 SAME_NORMAL = 0.95  # Least cosine between normals that share light
 BAND_ROWS = 16  # Rows of a picture that are drawn at once; chosen by timing
 

@@ -131,10 +131,8 @@ def untextured_share(mesh: TexturedMesh) -> float:
 SCALES = (0.75, 1.35)  # Least and largest factor of the size. Set by hand.
 DROP_CHANCE = 0.12  # Chance that a small material's faces are left out
 MAX_DROPPED_AREA_SHARE = 0.04  # Share of the area up to which a material may be left out
-
 # Share of the materials without texture that get a photograph, between which a scene draws its own.
 PHOTO_SHARES = (0.0, 0.8)
-
 REPLACEMENT_CHANCE = 0.15  # Chance that a textured material gets another photograph
 TILES = (0.4, 4.0)  # Metres that a photograph spans
 
