@@ -4,8 +4,6 @@ Both turn the two panoramas into the orientation of the frame first, as everythi
 rotation that costs nothing to undo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
@@ -23,7 +21,17 @@ from omnisyn_cli.types import View
 MIN_FLOW_ROWS = 32  # rows of the smallest pictures that optical flow is looked for in
 
 
-class _CrossFadePair:
+class PairWithoutGeometry:
+    """Of a :class:`~omnisyn_cli.synthesis.methods.Pair`: there is no depth from any waypoint."""
+
+    def inverse_depth(self, waypoint: Waypoint) -> None:
+        """None."""
+
+    def renderings(self, waypoint: Waypoint) -> None:
+        """None."""
+
+
+class _CrossFadePair(PairWithoutGeometry):
     """A :class:`~omnisyn_cli.synthesis.methods.Pair` about whose distances nothing is known."""
 
     depths = None
@@ -37,12 +45,6 @@ class _CrossFadePair:
             first, second = self._turned_to(waypoint.pose)
         with self._clock("fuse"):
             return Frame(np.float32(1 - waypoint.t) * first + np.float32(waypoint.t) * second, waypoint, None)
-
-    def inverse_depth(self, waypoint: Waypoint) -> None:
-        """None."""
-
-    def renderings(self, waypoint: Waypoint) -> None:
-        """None."""
 
     def _turned_to(self, pose: Pose) -> tuple[Float32[np.ndarray, "height width 3"], ...]:
         """Both panoramas as cameras held like ``pose`` would have taken them at the places of the panoramas."""

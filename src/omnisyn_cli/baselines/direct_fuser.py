@@ -1,10 +1,7 @@
 """Direct fusion as in the paper: a network predicts the colour of every pixel from both layers and their visibility.
 
-The network sees the frame at its own size, up to :data:`MAX_NETWORK_ROWS`; larger frames are predicted at that size and
-enlarged. It is not told which view is nearer, the position on the way or which surface is in front, as in the paper.
-Only the two ends of the way are the photographs themselves.
-
-Source: OmniSyn, section 3.5.
+It sees the frame at its own size, up to :data:`MAX_NETWORK_ROWS`; larger frames are enlarged. It is not told which view
+or surface is nearer, or the position on the way. Only both ends are the photographs. Source: OmniSyn, section 3.5.
 """
 
 from collections.abc import Callable

@@ -58,10 +58,7 @@ def disc_rows(point, radius, height, begin, end):
 
 @subkernel()
 def disc_columns(point, cos_radius, sp, cp, width):
-    """First and last column of a row that a disc covers; all of them if it holds the pole, none if it misses the row.
-
-    The spherical law of cosines: ``cos radius = cos p·cos p₀ + sin p·sin p₀·cos Δazimuth``.
-    """
+    """First and last column of a row in a disc (spherical law of cosines); all with the pole, none beside it."""
     excess = cos_radius - cp * point[0]
     ring = sp * point[1]
     if excess > ring:

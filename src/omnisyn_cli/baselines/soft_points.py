@@ -1,10 +1,9 @@
 """Soft points: every source pixel is a disc that fades towards its rim, blended from front to back (SynSin).
 
 A disc has one angle, that of ``radius`` target rows: it covers more columns towards the poles, wraps at the seam and
-reaches over the poles by itself. With the chord d between the centre of a pixel and that of a disc, in radii, the disc
-is there with opacity ``1 − d``; a pixel is ``Σ αₖ·fₖ·Π_{j<k}(1 − αⱼ)`` over the nearest points, the nearest one first.
-Colours or features of several panoramas are blended as one list of points. Towards the poles of a panorama, where
-pixels crowd, only as many of them are points as are at its equator on the same length (:func:`even_points`).
+reaches over the poles. With the chord d between the centre of a pixel and that of a disc, in radii, its opacity is ``1
+− d``; a pixel is ``Σ αₖ·fₖ·Π_{j<k}(1 − αⱼ)`` over the nearest points of all panoramas, the nearest first. Towards the
+poles only as many pixels are points as on the same length at the equator (:func:`even_points`).
 
 Source: Wiles et al., SynSin (CVPR 2020), section 3.2 and its programs (radius 4, exponent 1), there on a plane.
 """
@@ -106,10 +105,7 @@ def splat(
     clouds: Sequence[Cloud], size: tuple[int, int], *, radius: float = POINT_RADIUS_ROWS, most: int = POINTS_PER_PIXEL,
     threads: int | None = None,
 ) -> Float32[np.ndarray, "rows cols channels+1"]:  # fmt: skip
-    """The features that a target sees, and last how opaque all points of a pixel are together, in [0, 1).
-
-    Clouds have one number of channels; a disc has ``radius`` rows of the target, a pixel at most so many points.
-    """
+    """Features that a target sees, and last their opacity in [0, 1); discs of ``radius`` rows, ``most`` per pixel."""
     lists = list_visible(
         [cloud.inverse_depth for cloud in clouds], [cloud.target_from_source for cloud in clouds], size,
         [cloud.mask for cloud in clouds], radius=radius, most=most, threads=threads,

@@ -24,10 +24,7 @@ def splat_torch(
     inverse_depths: Sequence[Float[Tensor, "height width"]], target_from_sources: Sequence[Pose],
     size: tuple[int, int], *, radius: float = soft_points.POINT_RADIUS_ROWS, most: int = soft_points.POINTS_PER_PIXEL,
 ) -> Float[Tensor, "channels+1 rows cols"]:  # fmt: skip
-    """What :func:`omnisyn_cli.baselines.soft_points.splat` answers, channels first, on the device of the source.
-
-    The inverse depths, 1/metre, are finite and >= 0; it is their precision that is computed in.
-    """
+    """:func:`omnisyn_cli.baselines.soft_points.splat`, channels first, on the source's device and in its precision."""
     depths = [inverse_depth.detach().cpu().numpy() for inverse_depth in inverse_depths]
     lists = soft_points.list_visible(depths, target_from_sources, size, radius=radius, most=most)
     found = torch.from_numpy(lists.found).to(inverse_depths[0].device).view(-1, most)

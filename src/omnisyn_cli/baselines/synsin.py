@@ -1,8 +1,7 @@
 """SynSin on the sphere: the panoramas' points, blended as a waypoint sees them, made into a picture by a network.
 
-What OmniSyn is compared with. Depth is found in each panorama alone, no surface is assumed and nothing is compared
-between the two: one panorama (the nearer one) or both become one list of points. Pictures are made at the size that the
-networks were trained at, upright, then turned and enlarged. Exposure is not matched. The networks run in ONNX Runtime.
+Depth is found in each panorama alone, no surface is assumed and exposure is not matched. Pictures are made at the size
+that the networks were trained at, upright, then turned and enlarged.
 
 Source: Wiles et al., SynSin (CVPR 2020); OmniSyn, section 4.
 """
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
+from omnisyn_cli.baselines.cross_fade import PairWithoutGeometry
 from omnisyn_cli.baselines.learned_depth import sample_between_edges
 from omnisyn_cli.baselines.soft_points import Cloud, splat
 from omnisyn_cli.compute.stopwatch import Stopwatch
@@ -72,10 +72,7 @@ class MonocularDepthEstimator:
 
 
 class SynSinSessions:
-    """The three networks together, as sessions: depth, features of a panorama, a picture of blended features.
-
-    The decoder says how wide points are, in rows, and how many make a pixel. InputError: they do not belong together.
-    """
+    """Sessions of depth, features and picture; the decoder says radius and points. InputError: not of one kind."""
 
     def __init__(self, depth: Any, encoder: Any, decoder: Any) -> None:
         self.estimator = MonocularDepthEstimator(depth)
@@ -124,10 +121,7 @@ def _channels_last(planes: np.ndarray) -> np.ndarray:
 
 
 class SynSin:
-    """A :class:`~omnisyn_cli.synthesis.methods.Method`: frames from the points of one or two panoramas.
-
-    The nearer one or both (``sources``). Of the options only the size of the frames and threads are looked at.
-    """
+    """A :class:`~omnisyn_cli.synthesis.methods.Method`: frames from the points of the nearer panorama or both."""
 
     def __init__(
         self, networks: SynSinSessions, sources: int, options: SynthesisOptions, clock: Stopwatch | None = None
@@ -161,7 +155,7 @@ class SynSin:
         return Cloud(features, inverse_depth, Pose(np.eye(3), view.pose.position), mask)
 
 
-class SynSinPair:
+class SynSinPair(PairWithoutGeometry):
     """A :class:`~omnisyn_cli.synthesis.methods.Pair` whose frames have no depth: what is painted lies nowhere."""
 
     def __init__(self, method: SynSin, index: int, views: tuple[View, View]) -> None:
@@ -184,12 +178,6 @@ class SynSinPair:
             turn = Pose(waypoint.pose.rotation.T, np.zeros(3))
             picture = turned_panorama(small, turn, options.size, options.threads)
             return Frame(np.asarray(np.minimum(picture, np.float32(1.0))), waypoint, None)
-
-    def inverse_depth(self, waypoint: Waypoint) -> None:
-        """None."""
-
-    def renderings(self, waypoint: Waypoint) -> None:
-        """None."""
 
     def _seen_from(self, which: int, position: np.ndarray) -> Cloud:
         cloud = self._method.cloud(self._index + which, self._views[which])

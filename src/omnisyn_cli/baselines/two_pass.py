@@ -1,13 +1,10 @@
 """The rasteriser of the paper (section 3.4), kept to compare the exact one with.
 
-The vertices are mapped to pixels of the target and the triangles between them are drawn flat, in the plane of the
-equirectangular image, inverse depth interpolated linearly there. A triangle across the seam would be drawn across the
-whole image, so each pass leaves out what is wider than half the image, and a second pass draws an image turned by 180°.
-Of both, the nearer counts.
-
-It differs from :mod:`omnisyn_cli.render.rasterize` where a triangle is large in the image: its edges, arcs of great
-circles, are drawn straight, and inverse depth is not linear between them. Around the target's poles that is
-everywhere: a triangle that holds a pole is drawn wrongly or not at all, and the source's own polar caps are missing.
+Triangles between vertices in the target are drawn flat, in the plane of the equirectangular image, inverse depth linear
+there. Each pass leaves out what is wider than half the image, which is across its seam, and a second one draws an image
+turned by 180°; of both, the nearer counts. It differs from :mod:`omnisyn_cli.render.rasterize` where a triangle is
+large in the image, as around the poles: one that holds a pole is drawn wrongly or not at all, and the source's own
+polar caps are missing.
 """
 
 from dataclasses import replace

@@ -3,8 +3,6 @@
 :func:`run_batch` compares the manifest with what former runs left behind and does what is missing.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import time

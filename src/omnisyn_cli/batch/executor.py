@@ -111,10 +111,7 @@ class Executor(AbstractContextManager["Executor"], Protocol):
 
 
 def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None, None]:
-    """Do all jobs, the most expensive groups first; outcomes in the order in which jobs end.
-
-    Errors and dead workers stop nothing: these are replaced, and a job fails that kills its worker for the second time.
-    """
+    """Do all jobs, expensive groups first, as they end; dead workers are replaced, a job that kills two fails."""
     waiting = deque(_groups(jobs))
     groups_of_workers: dict[int, deque[Job]] = {}
     running: dict[int, Job] = {}

@@ -107,10 +107,7 @@ class Records:
 
 
 def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse a folder in which a batch would destroy something (OutputPathError), and make it if there is none.
-
-    It may replace what a batch has recorded and, after a kill, what it had no time to record; never inputs.
-    """
+    """Make a folder, or refuse one in which a batch would replace what none has made (OutputPathError)."""
     if not folder.exists():
         check_folder(folder.parent)
         folder.mkdir()

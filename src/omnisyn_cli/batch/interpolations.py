@@ -50,10 +50,7 @@ class LRUCache(Generic[T]):
 
 
 class PanoramaCache(LRUCache[CachedPanorama]):
-    """:func:`omnisyn_cli.io.read_panorama` that remembers the last panoramas, as long as their files do not change.
-
-    What is remembered is held as the samples of its file where these say everything: a quarter of the numbers.
-    """
+    """:func:`omnisyn_cli.io.read_panorama` that keeps the last unchanged files, as samples where these say all."""
 
     def __init__(self) -> None:
         super().__init__(MAX_CACHED_PANORAMAS)
@@ -73,10 +70,7 @@ class PanoramaCache(LRUCache[CachedPanorama]):
 
 
 class DepthCache(LRUCache[tuple[DepthEstimate, DepthEstimate]]):
-    """A :class:`~omnisyn_cli.types.DepthEstimator` that remembers the last pairs, either way round.
-
-    It is asked in one order, by positions: both directions have the same depth, whatever was asked before.
-    """
+    """A :class:`~omnisyn_cli.types.DepthEstimator` that keeps the last pairs, asked in one order, by positions."""
 
     def __init__(self, estimator: DepthEstimator) -> None:
         super().__init__(MAX_CACHED_DEPTHS)

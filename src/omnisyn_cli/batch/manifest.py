@@ -82,10 +82,7 @@ class Manifest:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """Read and check a manifest: its lines, the files they name, and that no two jobs write to one place.
-
-    Pictures are not opened: what is wrong fails their job. InputError: the file cannot be read, or it is empty.
-    """
+    """Check a manifest's lines, files and places; pictures stay closed. InputError: it is unreadable or empty."""
     reader = _Reader(path)
     for number, value in read_lines(path):
         reader.take(number, value)

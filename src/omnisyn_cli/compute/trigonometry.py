@@ -12,10 +12,7 @@ LOG2_ERROR = 3e-6  # largest error of :func:`log2_fast` for numbers near 1; else
 
 @inlined(fastmath=True)
 def atan2_fast(y, x):
-    """``atan2(y, x)`` in float32 without branches, so that loops over it are vectorised; 0 at the origin.
-
-    Source: polynomial 4.4.49 of Abramowitz and Stegun, error 2e-8.
-    """
+    """Float32 ``atan2`` without branches, 0 at the origin. Source: Abramowitz and Stegun, 4.4.49, error 2e-8."""
     ax, ay = abs(x), abs(y)
     large, small = max(ax, ay), min(ax, ay)
     q = small / (large + np.float32(1e-30))
@@ -36,10 +33,7 @@ def atan2_fast(y, x):
 
 @inlined(fastmath=True)
 def log2_fast(x):
-    """``log2(x)`` of a normal positive float32, without branches.
-
-    Exponent from the bits; log2(1 + m) of m in [0, 1) is ``m + m·(1 − m)·p(m)``, p fitted by least squares.
-    """
+    """``log2`` of a normal positive float32: exponent bits and m + m·(1 − m)·p(m), fitted by least squares."""
     bits = np.float32(x).view(np.int32)
     exponent = np.float32((bits >> 23) - 127)
     m = np.int32((bits & 0x007FFFFF) | 0x3F800000).view(np.float32) - np.float32(1.0)

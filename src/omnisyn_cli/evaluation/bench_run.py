@@ -1,8 +1,7 @@
 """One setting at work: the product's own pipeline from two files to a video, timed, weighed, compared with the truth.
 
-Times are of computing: of all threads and of the encoder, which ends within the stage that waits for it.
-
-A run wants a process of its own, started for it alone: peak memory and the time to load are facts about processes.
+Times are of computing: of all threads and the encoder, which ends within the stage that waits for it. A run wants a
+process of its own: peak memory and the time to load are facts about processes.
 """
 
 import math

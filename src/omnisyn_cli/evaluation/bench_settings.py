@@ -113,8 +113,8 @@ def run_bench(
 ) -> list[Figures]:
     """Measure what is not measured yet in the folder of a report; the figures of all settings in their order.
 
-    ``on_setting`` is called with the number of finished settings and the figures of the last one. InputError: earlier
-    results or the data set cannot be read; OutputPathError, WriteError: the folder cannot be written.
+    InputError: earlier results or the data set cannot be read; OutputPathError, WriteError: the folder cannot be
+    written.
     """
     make_folder(report, "results")
     path = report / RESULTS_NAME

@@ -86,10 +86,7 @@ class EvaluationPlan:
 
 
 def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
-    """Read the poses of all scenes; no picture is read and nothing is written.
-
-    InputError: no scenes, no such method, pairs that cannot be understood or that no scene has, or a size not 2:1.
-    """
+    """Read all poses, no picture; InputError: no scenes, no such method, unclear or absent pairs, a size not 2:1."""
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
     if job.leave_out and (job.tours or job.layout != "auto"):

@@ -18,10 +18,7 @@ IGNORED_ROOMS = frozenset({"batch", "cli", "networks", "training"})  # parts of 
 
 @cache
 def digest_of_sources(package: Path) -> str:
-    """Hexadecimal digest of a package's Python files but for :data:`IGNORED_ROOMS`; the same until the program ends.
-
-    Between two releases, which have one version, only this tells that a method works differently now.
-    """
+    """Of a package's files but for :data:`IGNORED_ROOMS`: between two releases only this tells a change."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         name = path.relative_to(package)

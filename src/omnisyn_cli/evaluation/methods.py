@@ -1,21 +1,8 @@
 """The methods that are compared, by name: what is measured, upper bounds, baselines and ablations.
 
 A method is a :class:`~omnisyn_cli.pipeline.config.RunConfig`, perhaps changed, and what only an evaluation may do: look
-at the true depth, make surfaces of another density, hide the second panorama.
-
-Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
-changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
-estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
-fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
-does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``fallback`` (what pairs of
-low confidence get), ``nadir=auto`` (what moves with the camera is left out), ``views=1`` (only the first panorama is
-shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
-neighbours); those whose depth a network refines take ``rows`` (that it is looked for at), ``model=none`` (all else as
-it is, without that network) and ``prior=none`` (without the one that says what to expect): ``matching:cut=0.02``,
-``oracle-depth:metres=2:depth=512x256``, ``omnisyn-balanced:model=none:prior=none:fusion=geometric``, which is
-``balanced`` with nothing learned in it. ``prior=FILE.onnx`` takes a monocular network of yours instead, and
-``prior-kind`` what its file does not say (words joined by ``+``); ``prior=simulated(0.1)`` the true depth with an error
-of 10 %, to see what such a network would be worth.
+at the true depth, make surfaces of another density, hide the second panorama. Names are ``base`` or ``base:key=value``,
+such as ``oracle-depth:metres=2:depth=512x256``, by the parameters that ``docs/evaluation.md`` lists.
 """
 
 import time
@@ -268,11 +255,7 @@ MIN_ROWS = 32  # least height of a network's input, which is halved five times
 # Ablations that are part of ``all``.
 VARIANTS = (
     f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
-    "matching:metres=2",
-    "matching:cut=0.02",
-    "matching:cut=0.1",
-    "matching:depth=512x256",
-    "matching:depth=256x128",
+    *(f"matching:{change}" for change in ("metres=2", "cut=0.02", "cut=0.1", "depth=512x256", "depth=256x128")),
 )
 
 

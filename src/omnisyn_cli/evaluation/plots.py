@@ -1,7 +1,5 @@
 """The diagrams of a report, as PNG files in memory."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections import defaultdict

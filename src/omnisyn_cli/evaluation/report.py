@@ -117,14 +117,9 @@ def _csv(units: Sequence[UnitRecord]) -> str:
 
 
 def _environment(**options: Any) -> Environment:
-    environment = Environment(  # noqa: S701 - Markdown is escaped by `finalize`
-        loader=PackageLoader("omnisyn_cli.evaluation"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        **options,
-    )
+    loader, spaces = PackageLoader("omnisyn_cli.evaluation"), {"trim_blocks": True, "lstrip_blocks": True}
+    options |= {**spaces, "keep_trailing_newline": True, "undefined": StrictUndefined}
+    environment = Environment(loader=loader, **options)  # noqa: S701 - Markdown is escaped by `finalize`
     environment.filters.update(figure=format_cell, data_uri=data_uri)
     return environment
 

@@ -1,11 +1,8 @@
 """What was measured, as values that a line of JSON can hold: the only thing that the engine and the report share.
 
-``results.jsonl`` in the folder of a report has one line for each finished unit of work, which is one method on one pair
-of panoramas. A line is appended when a unit is finished and never changed; a later line about the same unit replaces
-the earlier one. A last line that was cut short by an interruption does not count.
+``results.jsonl`` in the folder of a report has one line for each finished unit, one method on one pair. It is appended
+and never changed; a later line about the same unit counts instead, a last one that was cut short does not.
 """
-
-from __future__ import annotations
 
 import json
 import math

@@ -33,10 +33,7 @@ def write_scene(
     folder: Path, scene: Scene, path: Sequence[Pose], names: Sequence[str], size: tuple[int, int], supersample: int,
     threads: int | None = None, *, with_depth: bool = True,
 ) -> None:  # fmt: skip
-    """Write the panoramas along a path under ``names``, their depth (EXR, metres) if it is wanted, and their poses.
-
-    The folder exists. A pixel has ``supersample``² samples. WriteError: the disk is full, or the folder went away.
-    """
+    """Write renderings along a path under ``names``, with ``supersample``² samples; see :func:`write_renderings`."""
     render = partial(scenes.render_panorama, scene, size=size, supersample=supersample, threads=threads)
     write_renderings(folder, render, dict(zip(names, path, strict=True)), with_depth=with_depth)
 
@@ -45,10 +42,7 @@ def write_renderings(
     folder: Path, render: Callable[[Pose], tuple[np.ndarray, np.ndarray]], path: Mapping[str, Pose], *,
     with_depth: bool = True,
 ) -> None:  # fmt: skip
-    """Write panoramas, their depth (EXR, metres) if it is wanted, and their poses into a folder that exists.
-
-    ``render`` gives colours and depth of a pose, ``path`` the poses by image file. WriteError: no space, or no folder.
-    """
+    """Write panoramas that ``render`` makes of a ``path``, their depth (EXR, metres) and poses. WriteError: full."""
     panoramas = {}
     for name, pose in path.items():
         image, depth = render(pose)

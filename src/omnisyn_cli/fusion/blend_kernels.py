@@ -71,10 +71,7 @@ def quantize(value, quantization):
 
 @inlined(fastmath=True)
 def _inverse_distance_weight(rho, x, y, z, offset):
-    """(Distance from the target / distance from the source) of a point, cubed.
-
-    With the ray r these are ``1 / ρ`` and ``|r − ρ·offset| / ρ``: ρ cancels, points at infinity are no special case.
-    """
+    """(``1 / ρ`` over ``|r − ρ·offset| / ρ``)³ by distances from target and source: ρ cancels, also at infinity."""
     dx, dy, dz = x - rho * offset[0], y - rho * offset[1], z - rho * offset[2]
     squared = dx * dx + dy * dy + dz * dz + np.float32(1e-8)  # a surface at the source itself: no division by 0
     return np.float32(1.0) / (squared * math.sqrt(squared))

@@ -2,21 +2,17 @@
 
 The weight of a layer is the product of
 
-* its share of the way, so that both ends are the photographs themselves (what only one layer shows is taken from that
-  one, at the ends as well);
+* its share of the way, so that both ends are the photographs themselves (of what both layers show);
 * the weight of its colour (alpha, confidence of its depth, cut edges);
-* its proximity: (distance from the target / distance from the source)³, because a photograph taken nearer is sharper
-  there and has less parallax;
+* its proximity, (distance from the target / distance from the source)³: a nearer photograph is sharper there;
 * visibility: where the inverse depths differ, the nearer surface hides the farther one.
 
-A dissolve takes the shares of both to the fourth power. So most places show one layer alone, the nearer and surer one,
-and change over from a tenth to nine tenths in a quarter of the way. Chosen by eye on two real restaurants.
+A dissolve takes the shares of both to the fourth power, so that most places show one layer alone, and change over from
+a tenth to nine tenths in a quarter of the way. Chosen by eye on two real restaurants. On ray-traced scenes with true
+depth the share alone has 30.8 dB, with proximity 31.1 dB; a factor for the angle at which a surface was seen lost 0.1
+dB.
 
-Measured on ray-traced scenes with true depth (mean of nine frames): the share alone 30.8 dB, with proximity 31.1 dB. A
-further factor for the angle at which a surface was seen lost 0.1 dB and is left out.
-
-This form serves ghosts, devices and training, with gradients. Its twin for one pixel in kernels is
-:func:`omnisyn_cli.fusion.blend_kernels.view_weights`; a test ties the two.
+Its twin for one pixel in kernels is :func:`omnisyn_cli.fusion.blend_kernels.view_weights`; a test ties the two.
 """
 
 from __future__ import annotations

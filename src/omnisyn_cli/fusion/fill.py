@@ -1,9 +1,7 @@
 """Hole filling by pull and push: weighted means go down a pyramid, and colours come back up into the holes.
 
-A hole opens behind a near object, and what is hidden continues the far side. So far pixels carry more weight, and the
-weights go down and come back up with the colours. Measured on ray-traced scenes with true depth (mean of nine frames):
-holes 15.3 dB without weights on the way up, 16.0 dB with them, 16.7 dB with weights by distance to the fourth power, at
-which matched depth neither gains nor loses.
+What a near object hides continues the far side, so far pixels carry more weight (inverse distance to the fourth power),
+and weights go down and come back up with the colours: 16.7 dB in holes of ray-traced scenes, 15.3 dB without.
 
 Source: Gortler et al., The Lumigraph, 1996, section 3.3.3.
 """
@@ -36,10 +34,7 @@ class HoleFiller:
     def __call__(
         self, image: Float32[np.ndarray, "height width 3"], weight: Float32[np.ndarray, "height width"]
     ) -> None:
-        """Fill, in place, the pixels of ``image`` (RGB) whose ``weight`` is 0; it wraps at the seam.
-
-        A weight >= 0 is how much a pixel counts for the holes around it. Without any the image becomes black.
-        """
+        """Fill, in place, the pixels of ``image`` whose ``weight`` is 0, across the seam; without any it is black."""
         if weight.min() <= 0.0:
             self._pull((image, weight), self.half)
             self.fill(image, weight)

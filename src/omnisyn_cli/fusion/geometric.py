@@ -23,10 +23,7 @@ Confidence = Float32[np.ndarray, "height width"]
 
 
 class GeometricFuser:
-    """A :class:`omnisyn_cli.types.Fuser` that blends two layers. Not shared between threads.
-
-    With ``edges`` they are supersampled if the layers can be. ``tiles`` runs over both layers; ``is_seen``: 0 in holes.
-    """
+    """A :class:`omnisyn_cli.types.Fuser` that blends by rules and supersamples ``edges``. Not shared by threads."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None, *, edges: bool = True) -> None:
         self.size, self.threads = size, threads

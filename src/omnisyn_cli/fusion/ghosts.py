@@ -15,8 +15,6 @@ Colours are numpy arrays, or torch tensors on any device. Only loops over all pi
 kernels in :mod:`omnisyn_cli.fusion.ghost_kernels`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -195,7 +193,7 @@ class GhostRemover:
     def _log_weight_ratio(
         self, first: LayerArrays, second: LayerArrays, rule: BlendRule, wanted: Bool[Array, "rows cols"]
     ) -> Float32[Array, "rows cols"]:
-        """log(weight of the first / weight of the second) in the blend of the wanted cells, which are few; else 0."""
+        """log(weight of the first / of the second) in the blend of the wanted cells, which are few; else 0."""
         xp, cells = array_namespace(wanted), array_namespace(wanted).nonzero(wanted)
         directions = xp.asarray(self._directions, device=device(wanted))[cells]
         inside = replace(rule, t=min(max(rule.t, MIN_PATH_POSITION), 1.0 - MIN_PATH_POSITION))
@@ -256,10 +254,7 @@ def region_winners(
 
 
 def label_regions(differs: Bool[Array, "rows cols"]) -> Integer[Array, "rows cols"]:
-    """A label > 0 for every 8-connected region, across the seam as well; 0 outside.
-
-    On a device the largest label spreads, and cells take that of the cell it names (pointer jumping): few steps.
-    """
+    """A label > 0 per 8-connected region, over the seam; on devices spread by pointer jumping, in few steps."""
     if is_numpy_array(differs):
         return connected_regions(differs, is_diagonal=True)
     xp = array_namespace(differs)

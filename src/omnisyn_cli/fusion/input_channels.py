@@ -111,9 +111,6 @@ def sqrt_inverse_depth(scaled: Float[Array, "*maps height width"]) -> Float[Arra
 
 
 def disagreement_mask(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
-    """A soft mask in [0, 1]: 1 where the layers disagree about depth, and around there; wraps at the seam.
-
-    For ``gap`` see :func:`omnisyn_cli.fusion.blend_rule.normalized_depth_gap`.
-    """
+    """In [0, 1], 1 where depths differ by a :func:`normalized_depth_gap` and around there; wraps at the seam."""
     disagreement = -array_namespace(gap).expm1(-gap * gap)
     return box_filter(dilate(disagreement, DISAGREEMENT_RADIUS), DISAGREEMENT_BLUR_RADIUS, mirror_poles=False)

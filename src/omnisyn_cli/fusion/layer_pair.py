@@ -48,10 +48,7 @@ class LayerPair:
         return self.first.edge_samples is not None and self.second.edge_samples is not None
 
     def edge_samples(self, of_first: EdgePixels, of_second: EdgePixels) -> tuple[EdgeSamples, EdgeSamples]:
-        """Samples of edge pixels in both layers, with the sample depths known of each, ready to be blended.
-
-        ValueError: a layer cannot be supersampled, see :attr:`has_edge_samples`.
-        """
+        """Samples of edge pixels in both layers, ready to be blended; ValueError: see :attr:`has_edge_samples`."""
         if self.first.edge_samples is None or self.second.edge_samples is None:
             raise ValueError("expected layers with edge samples, got others; ask has_edge_samples first")
         first, second = self.first.edge_samples(of_first), self.second.edge_samples(of_second)
@@ -73,10 +70,7 @@ class LayerPairShader:
         self, layers: LayerPair, use: Callable[[int, int, np.ndarray, np.ndarray], None],
         boundaries: Sequence[int] | None = None,
     ) -> None:  # fmt: skip
-        """Call ``use``, on several threads, with first row, row after the last and both layers' colours of tiles.
-
-        ``boundaries`` are their first rows and, last, the height; by default every :data:`TILE_ROWS` rows.
-        """
+        """Call ``use``, on several threads, with first row, row after the last and both colours of each tile."""
         tiles = list(pairwise([*range(0, self.size[0], TILE_ROWS), self.size[0]] if boundaries is None else boundaries))
         tallest = max(bottom - top for top, bottom in tiles)
 

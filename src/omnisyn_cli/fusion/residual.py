@@ -1,9 +1,8 @@
 """Residual fusion: the geometric fusion, corrected by a network where the layers contradict each other or see nothing.
 
 The network sees both layers at a small size of its own. For each pixel it returns blend weights of colours that both
-photographs show at other depths (:mod:`omnisyn_cli.fusion.warp_candidates`). The candidates are sampled at the size of
-the frame, so the frame keeps the sharpness of the photographs. Two places stay as the rules made them: where ghosts
-are suppressed, and near the ends of the way, where the correction fades so that both ends are the photographs.
+photographs show at other depths (:mod:`omnisyn_cli.fusion.warp_candidates`), which are sampled at the size of the
+frame. Suppressed ghosts stay as the rules made them, and the correction fades towards both ends of the way.
 
 Source: OmniSyn, section 3.5, with blend weights of photographs in place of colours.
 """
@@ -42,19 +41,13 @@ ResidualFusionNetwork = Callable[[np.ndarray], np.ndarray]
 def network_size(
     size: tuple[int, int], rows: int, multiple: int = SIZE_MULTIPLE, scale: int = CANDIDATE_SCALE
 ) -> tuple[int, int] | None:
-    """Height and width of a network for frames of ``size``; None where frames are too small for it.
-
-    At most ``rows``, of a ``multiple``, and at most the ``scale``-th part of the frame's height.
-    """
+    """For frames of ``size``: at most ``rows`` or their ``scale``-th part, of a ``multiple``; None if too small."""
     height = min(rows, size[0] // scale, size[1] // (2 * scale)) // multiple * multiple
     return (height, 2 * height) if height else None
 
 
 class ResidualFuser(GeometricFuser):
-    """A :class:`omnisyn_cli.types.Fuser` that blends and corrects by a network. Not shared between threads.
-
-    Geometric below twice :data:`SIZE_MULTIPLE` rows. The network sees at most ``rows``; it was trained on 128.
-    """
+    """A :class:`omnisyn_cli.types.Fuser`: geometric, then corrected by a network at ``rows`` (trained on 128)."""
 
     def __init__(
         self, size: tuple[int, int], network: ResidualFusionNetwork, rows: int, threads: int | None = None, *,

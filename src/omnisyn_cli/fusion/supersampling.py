@@ -1,10 +1,8 @@
 """Antialiased edges: pixels that show two surfaces are supersampled 2x2.
 
-An *edge pixel* lies beside a depth discontinuity of either layer, and its colours differ from those around it. Its
-visibility, colours and weights are found at four samples, the pixels of a picture of twice the size. Each sample is
-blended by the rule, and the pixel becomes their mean. Edge pixels are a twentieth of most pictures, and gain what the
-whole picture at twice the size would: on generated walks full of edges 0.65 dB with true depth, 0.2 dB with estimated
-depth; figures are in ``docs/evaluation.md``.
+An *edge pixel* lies beside a depth discontinuity of either layer, and its colours differ from those around it. It
+becomes the mean of four samples, the pixels of a picture of twice the size, each blended by the rule. They are a
+twentieth of most pictures, and gain what the whole picture at twice the size would, see ``docs/evaluation.md``.
 """
 
 from functools import partial
@@ -35,10 +33,7 @@ class EdgeSupersampler:
         self._marks = np.empty(size, np.uint8)
 
     def __call__(self, layers: LayerPair, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
-        """Supersample the edges of a picture (float32 or unsigned integers) that was blended by a rule.
-
-        It sets in with the rule's occlusion strength: the ends of the way are the photographs.
-        """
+        """Supersample the edges of what a rule blended, by its occlusion strength: ends are the photographs."""
         height, _ = self.size
         share, scalars, quantization = np.float32(rule.occlusion_strength), kernel_rule(rule), quantization_for(out)
         if share < MIN_SUPERSAMPLING_SHARE or have_same_position(layers.first, layers.second):

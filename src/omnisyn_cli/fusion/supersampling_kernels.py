@@ -86,10 +86,7 @@ def _has_contrast(picture, scale, min_contrast, above, below, col):
 
 @fast_kernel()
 def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a):
-    """List the marked pixels of some rows as in :class:`omnisyn_cli.types.EdgePixels`; returns how many, with padding.
-
-    All but ``marks`` and the tables, those of a picture of twice the size, is written; ``cols`` has space for all.
-    """
+    """Marked pixels of some rows as in :class:`omnisyn_cli.types.EdgePixels`, all written; how many, with padding."""
     count, width = 0, marks.shape[1]
     for row in range(len(tile_begins)):
         for left in range(0, width, SKIP_COLUMNS):
@@ -117,10 +114,7 @@ def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a)
 
 @fast_kernel()
 def prefill_visibility(marks, mark, rho, edge_pixels):
-    """Write the sample depths that need no rasterising: away from a layer's own edges they lie on a local plane.
-
-    ``mark`` is the bit of its edges, left to the rasteriser; ``rho`` its inverse depth. Written: counts and depths.
-    """
+    """Write counts and the sample depths that lie on a local plane; those of the layer's own edges are unknown."""
     height, width = marks.shape
     top, cols, tile_begins = edge_pixels.top, edge_pixels.cols, edge_pixels.tile_begins
     unknown_counts, inverse_depth = edge_pixels.unknown_counts, edge_pixels.inverse_depth

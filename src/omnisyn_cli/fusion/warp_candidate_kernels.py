@@ -67,10 +67,7 @@ def hypothesis_rows(hypothesis, weight, top, height, points):
 
 @fast_kernel()
 def accumulate_candidate(weight, colour, top, height, total):
-    """Add a candidate to a weighted sum of rows of a frame of ``height`` rows, from ``top`` on.
-
-    ``weight`` is read bilinearly, across the seam, times alpha of ``colour``; ``total`` has weighted RGB and weight.
-    """
+    """Add a candidate's weighted RGB and weight, bilinear across the seam times alpha, to rows from ``top`` on."""
     width, cols, half = total.shape[1], weight.shape[1], np.float32(0.5)
     step = np.float32(cols / width)
     for k in range(len(total)):

@@ -1,12 +1,10 @@
 """Warp candidates: colours of both photographs, warped backwards at depth hypotheses.
 
-A layer shows what its own depth makes of a photograph. Where that depth is wrong, mostly beside edges, neither layer
-has the right colour, but the photographs do: they show every point somewhere. So each pixel gets two depth hypotheses,
-the nearest and the farthest surface that either layer shows around it, and both photographs are sampled at both
-(:class:`omnisyn_cli.types.SourceSampler`). These are four candidates for its colour, also in holes.
-
-Each layer is also cross-checked: what does the other photograph show at the layer's own depth, and is the point
-occluded there? That tells which layer to believe.
+Where a layer's depth is wrong, mostly beside edges, neither layer has the right colour, but the photographs do. So each
+pixel gets two depth hypotheses, the nearest and the farthest surface that either layer shows around it, and both
+photographs are sampled at both (:class:`omnisyn_cli.types.SourceSampler`): four candidates for its colour, also in
+holes. And what the other photograph shows at a layer's own depth, and whether the point is occluded there, tells which
+layer to believe.
 
 Input channels of fusion networks, part 2 (``CANDIDATE_CHANNELS`` of them, float32), after those of
 :mod:`omnisyn_cli.fusion.input_channels`:

@@ -25,10 +25,7 @@ def dilate(values: Num[Array, "rows cols *channels"], radius: int) -> Num[Array,
 def box_filter(
     values: Num[Array, "rows cols *channels"], radius: int, *, mirror_poles: bool
 ) -> Num[Array, "rows cols *channels"]:
-    """The mean over a window of ``2·radius + 1`` rows and columns; there are more rows and columns than ``radius``.
-
-    Beyond a pole the last rows are mirrored (``mirror_poles``), otherwise the last row repeats.
-    """
+    """The mean over ``2·radius + 1`` rows and columns; beyond a pole rows are mirrored, or the last one repeats."""
     if is_numpy_array(values):
         import cv2  # loaded only here: most callers need torch or no filter at all
 

@@ -71,23 +71,16 @@ def rotation_from_quaternion(quaternion: Float[np.ndarray, "*batch 4"]) -> Float
 
 
 def quaternion_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
-    """Unit quaternion ``[w, x, y, z]`` with w >= 0 of a rotation matrix.
-
-    The columns of the symmetric ``4·q·qᵀ`` are multiples of q; the longest is used, so no rotation angle is special.
-    """
+    """Unit ``[w, x, y, z]``, w >= 0: the longest column of ``4·q·qᵀ``, so that no rotation angle is special."""
     m = rotation
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    outer = np.stack(
-        [
-            np.stack([1 + m00 + m11 + m22, x, y, z], -1),
-            np.stack([x, 1 + m00 - m11 - m22, xy, xz], -1),
-            np.stack([y, xy, 1 - m00 + m11 - m22, yz], -1),
-            np.stack([z, xz, yz, 1 - m00 - m11 + m22], -1),
-        ],
-        axis=-2,
-    )
+    rows = (
+        (1 + m00 + m11 + m22, x, y, z), (x, 1 + m00 - m11 - m22, xy, xz),
+        (y, xy, 1 - m00 + m11 - m22, yz), (z, xz, yz, 1 - m00 - m11 + m22),
+    )  # fmt: skip
+    outer = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     longest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     column = np.take_along_axis(outer, longest[..., None, None], axis=-2)[..., 0, :]
     quaternion: np.ndarray = column / np.linalg.norm(column, axis=-1, keepdims=True)
@@ -149,10 +142,7 @@ def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0)
 
 
 def heading_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
-    """Heading, pitch and roll (radians) that :func:`rotation_from_heading` makes a world-from-camera rotation of.
-
-    Heading is in [0, 2π). Straight up and down it is what rounding makes of it, and the roll fits it.
-    """
+    """The inverse of :func:`rotation_from_heading`, heading in [0, 2π); rounding decides straight up and down."""
     forward = -rotation[:, 2]
     heading = math.atan2(forward[0], -forward[2])
     pitch = math.asin(min(max(float(forward[1]), -1.0), 1.0))
@@ -172,14 +162,9 @@ def enu_from_geographic(
     offset = _ecef(latitude, longitude, altitude) - _ecef(*origin)
     phi, lam = math.radians(origin[0]), math.radians(origin[1])
     sin_phi, cos_phi, sin_lam, cos_lam = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)
-    enu_from_ecef = np.array(
-        [
-            [-sin_lam, cos_lam, 0.0],
-            [-sin_phi * cos_lam, -sin_phi * sin_lam, cos_phi],
-            [cos_phi * cos_lam, cos_phi * sin_lam, sin_phi],
-        ]
-    )
-    return np.asarray(enu_from_ecef @ offset)
+    east, north = [-sin_lam, cos_lam, 0.0], [-sin_phi * cos_lam, -sin_phi * sin_lam, cos_phi]
+    up = [cos_phi * cos_lam, cos_phi * sin_lam, sin_phi]
+    return np.asarray(np.array([east, north, up]) @ offset)
 
 
 def _ecef(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, " 3"]:
@@ -202,10 +187,7 @@ def nearest_rotation(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarra
 
 
 def rotation_taking(source: Float[np.ndarray, " 3"], target: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The smallest rotation that takes the unit vector ``source`` to the unit vector ``target``.
-
-    For opposite vectors the half turn about one fixed axis orthogonal to ``source`` is taken.
-    """
+    """The smallest rotation from one unit vector to another; of opposite ones about one fixed orthogonal axis."""
     axis, cosine = np.cross(source, target), float(np.dot(source, target))
     sine = float(np.linalg.norm(axis))
     if sine < SMALL_ANGLE:

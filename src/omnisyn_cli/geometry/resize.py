@@ -8,10 +8,7 @@ MIN_USABLE_SHARE = 0.99  # share of a resampled pixel that the mask must allow: 
 
 
 def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Averages over the area that a new pixel covers; enlarging by a whole factor repeats pixels.
-
-    No new pixel covers anything beyond the border, so seam and poles need no care.
-    """
+    """Averages over the area of new pixels; whole factors repeat pixels. None reaches beyond seam or poles."""
     if image.shape[:2] == size:
         return np.asarray(image, np.float32)
     return np.asarray(cv2.resize(np.ascontiguousarray(image, np.float32), size[::-1], interpolation=cv2.INTER_AREA))

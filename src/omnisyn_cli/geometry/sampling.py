@@ -49,10 +49,7 @@ def add_columns(
 def filter_across_seam(
     apply: Callable[[np.ndarray], np.ndarray], image: Shaped[np.ndarray, "height width *channels"], reach: int
 ) -> Shaped[np.ndarray, "height width ..."]:
-    """The result of a filter on an image whose columns wrap; beyond the poles the filter's own border rule holds.
-
-    ``apply`` keeps the size; a result depends on at most ``reach`` columns on either side.
-    """
+    """A filter that keeps the size and looks ``reach`` columns aside, where columns wrap; rows are its own affair."""
     return apply(add_columns(image, reach))[:, reach : reach + image.shape[1]]
 
 
@@ -113,10 +110,7 @@ def _is_evenly_spaced(index: Integer[np.ndarray, " count"]) -> bool:
 
 
 def sample_bicubic(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
-    """Catmull-Rom bicubic interpolation in pixel space, ``(*batch, *channels)``; may over- and undershoot.
-
-    Source: Keys, Cubic convolution interpolation for digital image processing, 1981.
-    """
+    """Catmull-Rom in pixel space; may over- and undershoot. Source: Keys, Cubic convolution interpolation …, 1981."""
     return _convolve(image, *direction_to_pixel(direction, image.shape[:2]), reach=(-1, 2), kernel=_cubic_weight)
 
 
@@ -131,10 +125,7 @@ def rotated_image(
     image: Float[np.ndarray, "rows cols 3"], source_rotation: Float[np.ndarray, "3 3"],
     target_rotation: Float[np.ndarray, "3 3"], size: tuple[int, int],
 ) -> Float[np.ndarray, "height width 3"]:  # fmt: skip
-    """A panorama (RGB in [0, 1]) as a camera of another orientation and ``size`` sees it: the input of networks.
-
-    Bicubic, after area averaging where the panorama is larger. Rotations are those of :func:`rotated_directions`.
-    """
+    """RGB in [0, 1] as a turned camera sees it (:func:`rotated_directions`), bicubic after area averaging."""
     import cv2  # loaded only here: a plan needs this module, and no more
 
     pixels = np.asarray(image, np.float32)

@@ -60,10 +60,7 @@ def angles_to_direction(azimuth: Array, polar_angle: Array) -> Array:
 
 
 def direction_to_angles(direction: Float[Array, "*batch 3"]) -> tuple[Array, Array]:
-    """Azimuth in (−π, π] and polar angle in [0, π], in radians, of vectors of any length.
-
-    The latter by ``atan2``, exact at the poles, where the azimuth is 0; of a zero vector both are ``atan2(0, 0)``.
-    """
+    """Azimuth in (−π, π], 0 at a pole, and polar angle in [0, π], radians, exact there; of any length."""
     xp = array_namespace(direction)
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
     return xp.atan2(x, -z), xp.atan2(xp.hypot(x, z), y)

@@ -67,10 +67,7 @@ def swap_cameras_in_forward_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped
 
 
 def parallax_from_inverse_depth(polar_angle: Array, inverse_depth: Array, baseline: float = 1.0) -> Array:
-    """How far down its meridian a point moves from the first image to the second, radians in [0, π − polar_angle].
-
-    ``polar_angle`` is between the baseline (metres) and the first camera's ray; inverse depth 0 is infinitely far.
-    """
+    """Radians in [0, π − polar_angle] down a meridian; angle to the baseline (metres), inverse depth (1/metre)."""
     xp = array_namespace(polar_angle, inverse_depth)
     shift = inverse_depth * baseline
     return xp.atan2(shift * xp.sin(polar_angle), 1.0 - shift * xp.cos(polar_angle))
@@ -123,10 +120,7 @@ def reproject_to_second(
 def free_space_agreement(
     inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
 ) -> Float[np.ndarray, "height width"]:
-    """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
-
-    To be occluded there is no contradiction. Inverse depths, each in its own frame, and translation are in baselines.
-    """
+    """1 where nothing contradicts an estimate (occlusion does not), 0 where the other sees through; in baselines."""
     expected, seen = _expected_and_seen(inverse_depth, other, other_from_this)
     too_far = np.maximum(expected - seen - FREE_SPACE_SLACK, 0.0) / np.maximum(expected, FREE_SPACE_SLACK)
     return np.asarray(1.0 / (1.0 + (too_far / SAME_SURFACE_TOLERANCE) ** 2), np.float32)

@@ -1,17 +1,13 @@
 """Depth completion: a UNet with attention corrects the depth that matching found and filled.
 
-Matching fails where the other panorama sees nothing, where there is no texture and around the epipoles. The rest of the
-scene says much about such places. The input channels are listed in
-:func:`omnisyn_cli.stereo.stereo_features.completion_channels`. The network corrects the filled map everywhere, because
-some consistent matches are wrong.
+Matching fails where the other panorama sees nothing, without texture and around the epipoles; the rest of the scene
+says much about such places. It predicts two modes of √(inverse depth × baseline) for each pixel, corrections of the
+filled map, and which is likelier: at an edge one follows the near surface and the other the far one, so the estimate
+never lies between them. At the coarsest stride each position attends to all others, biased by the angle between them.
+For inputs see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
 
-It predicts two modes of √(inverse depth × baseline) for each pixel and which of them is the likelier. At an edge one
-follows the near surface and the other the far one, so the estimate never lies between them. At the coarsest stride each
-position attends to all others. The attention bias depends on the angle between them, not on the seam: rolling the
-columns of the input rolls the output.
-
-Source: two modes instead of one value at edges: Tosi et al., SMD-Nets: Stereo mixture density networks, 2021; monocular
-skip: OmniSyn, section 3.3; attention: Vaswani et al., Attention is all you need, 2017.
+Source: Tosi et al., SMD-Nets, 2021; OmniSyn, section 3.3 (monocular skip); Vaswani et al., Attention is all you need,
+2017.
 """
 
 from dataclasses import dataclass
@@ -108,10 +104,7 @@ def reliable_mask(channels: Float[Tensor, "batch channels height width"]) -> Flo
 
 
 def _directions(x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "n 3"]:
-    """Unit vectors of all pixels, row by row.
-
-    Rows and columns are counted with sums: an exported network would take a size only that is written as a number.
-    """
+    """Unit vectors, row by row; sizes are sums, as an exported network is bound to one that is written as a number."""
     one = torch.ones_like(at_least_single(x[0, 0]))
     row, col = ((one.cumsum(axis) - 0.5) / one.sum(axis, keepdim=True) - 0.5 for axis in (0, 1))
     directions: Tensor = angles_to_direction(*pixel_to_angles(row, col, (1, 1))).flatten(0, 1)

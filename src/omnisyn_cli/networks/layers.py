@@ -70,7 +70,7 @@ def initialise(module: nn.Module, gain: float = 0.7) -> None:
                 nn.init.zeros_(layer.bias)
 
 
-def init_small(*layers: Any, std: float = 0.01) -> None:
+def init_small(*layers: Any) -> None:
     """Random weights of a small standard deviation for last layers, so that answers begin near where they should."""
     for layer in layers:
-        nn.init.normal_(layer.weight, std=std)
+        nn.init.normal_(layer.weight, std=0.01)

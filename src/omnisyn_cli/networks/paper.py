@@ -4,15 +4,14 @@ Both panoramas come in the frame of :func:`omnisyn_cli.geometry.sweep.forward_fr
 ahead and up is up, so that the sweep is a constant. Everything is in ``inverse depth × baseline``, dimensionless.
 
 1. A UNet makes 32 features of each panorama at a quarter of its size.
-2. For each of 64 spheres, even in inverse depth, the second panorama's features as the first camera would see them
-   painted on that sphere; the absolute difference from the first panorama's own.
+2. For each of 64 spheres, even in inverse depth: the absolute difference of the first panorama's features and the
+   second one's, as the first camera would see them painted on that sphere.
 3. A 3-D UNet takes this volume to one number for each sphere and direction.
 4. The low head, a 1×1 convolution, makes inverse depth of them; the high head does it at full size with the first
    panorama's features beside them (the monocular skip).
 
-Blocks are two convolutions with LeakyReLU, without normalisation; a channel with the row comes before the first. What
-the authors' own programs do at edges is not repeated: pixels are sampled where they are (theirs: half a pixel off), the
-sweep and every enlargement go across the seam, the frame is turned in full 3-D, and inverse depth is never negative.
+Unlike the authors' programs pixels are sampled where they are (theirs: half a pixel off), the sweep and every
+enlargement go across the seam, the frame is turned in full 3-D, and inverse depth is never negative.
 
 Source: OmniSyn, sections 3.1 to 3.4.
 """

@@ -1,15 +1,10 @@
 """SynSin's three networks for equirectangular images: depth of one panorama, its features, and a picture of points.
 
-1. ``depth``: inverse depth (1/m) of a single upright panorama. Nothing in one picture gives a scale but what is known
-   of the world (how high cameras are held, how large doors are), so it is learned from scenes in metres.
-2. ``encoder``: features of every pixel. The first three are its colours. The decoder adds a correction to those of the
-   points, so that a fresh network shows the points.
-3. ``decoder``: blended points (:mod:`omnisyn_cli.baselines.soft_points`) and their opacity become a picture. Where no
-   point is seen it makes colours up.
-
-Every convolution wraps around the seam; a channel with the row (CoordConv) tells up from down, so panoramas have to be
-upright. Between encoder and decoder points of any number of panoramas are blended by other means, which is why these
-are three networks and three files.
+``depth`` is inverse depth (1/m) of a single upright panorama, learned from scenes in metres: nothing in one picture
+gives a scale but what is known of the world. ``encoder`` makes features of every pixel, the first three its colours.
+``decoder`` takes blended points (:mod:`omnisyn_cli.baselines.soft_points`) and their opacity to a picture; it adds a
+correction to their colours and makes some up where no point is seen. A channel with the row (CoordConv) tells up from
+down. Points are blended by other means in between, hence three networks and three files.
 
 Source: Wiles et al., SynSin (CVPR 2020); on the sphere as the baseline of OmniSyn, section 4.
 """

@@ -56,10 +56,7 @@ class Hourglass(nn.Module):
 
 
 class RefinementUNet(Hourglass, Network):
-    """Channels in, outputs of the same size; rolling the columns of the input rolls the output.
-
-    Networks inherit the layers, so that checkpoints name them without a prefix, and initialise the last one, ``head``.
-    """
+    """Rolled input rolls the output. Networks inherit it, so that checkpoints name layers without a prefix."""
 
     output_names = Ports.outputs
 

@@ -185,10 +185,7 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
 
 
 def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | None = None) -> DepthEstimator:
-    """An estimator that serves any number of pairs; its networks run on ``auto``, ``cpu`` or ``cuda``.
-
-    ValueError: an unknown source, or no model; InputError: it cannot be found or loaded, or not on that device.
-    """
+    """Serves any pairs, networks on ``device``. ValueError: unknown source, no model; InputError: it does not load."""
 
     def open_network(name: str | None, *, keeps_memory: bool = True) -> Any:
         from omnisyn_cli.runtime.session import open_model

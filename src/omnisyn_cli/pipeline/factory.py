@@ -19,10 +19,7 @@ def make_method(
     config: RunConfig, size: tuple[int, int], *, threads: int | None = None, clock: Stopwatch | None = None,
     estimator: DepthEstimator | None = None, fuser: Fuser | None = None,
 ) -> Method:  # fmt: skip
-    """What makes frames of a size, (height, width), by a config; the clock collects seconds by stage.
-
-    Surfaces may have another estimator and fuser. InputError: a network cannot be loaded, or there is no such device.
-    """
+    """Frames of a size by a config; surfaces may have an own estimator and fuser. InputError: no network or device."""
     from omnisyn_cli.render.mesh import Cut
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 

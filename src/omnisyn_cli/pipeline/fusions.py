@@ -80,10 +80,7 @@ FUSIONS: Mapping[str, FusionStrategy] = by_name(
 
 
 def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, device: str = "auto") -> Fuser:
-    """A fuser of :data:`FUSIONS`; its network is the fusion's own unless a model is named (manifest, or an ONNX file).
-
-    Raises ValueError: an unknown name; InputError: the model cannot be found or loaded, or not on that device.
-    """
+    """Of :data:`FUSIONS`, with its or another ``model``. ValueError: unknown name; InputError: it does not load."""
     fusion = chosen(FUSIONS, name, "fusion")
 
     def open_network() -> Any:

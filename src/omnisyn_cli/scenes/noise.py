@@ -52,10 +52,7 @@ def smooth_noise_3d(x, y, z, seed):  # type: ignore[no-untyped-def]
 
 @fast_subkernel
 def fractal_noise(x, y, seed, footprint, octaves):  # type: ignore[no-untyped-def]
-    """Add octaves of noise; an octave fades out as its wavelength falls under four footprints. Range about ±1, mean 0.
-
-    ``x``, ``y`` and ``footprint`` are in units of the coarsest wavelength.
-    """
+    """Octaves, fading below four footprints, range about ±1, mean 0; arguments in the coarsest wavelength."""
     total, amplitude, frequency = 0.0, 1.0, 1.0
     for octave in range(octaves):
         visible = min(1.0, 2.0 - 4.0 * footprint * frequency)

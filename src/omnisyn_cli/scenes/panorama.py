@@ -73,10 +73,7 @@ def _drawn(scene: Scene) -> DrawnScene:
 def render_panorama(
     scene: Scene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
-    """Render one panorama: RGB in [0, 1], and metres along the ray of each pixel's centre, inf where there is only sky.
-
-    Arguments as of :func:`omnisyn_cli.scenes.mesh.render.render`.
-    """
+    """:func:`omnisyn_cli.scenes.mesh.render.render` of a generated scene; depth is inf where there is only sky."""
     if min(size) < 1 or supersample < 1:
         raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
     drawn = _drawn(scene)

@@ -74,10 +74,7 @@ def find_holes(surfaces, face, points, is_open):  # type: ignore[no-untyped-def]
 
 @fast_kernel
 def find_surfaces(surfaces, face, points, directions, starts, normals):  # type: ignore[no-untyped-def]
-    """Fill the normals of what rays hit, towards their origins, and where rays to the light start; all (n, 3).
-
-    What is round is round here: normals and starts are those of the shape, not of its triangles.
-    """
+    """Fill the normals, towards the rays' origins, of shapes (what is round is round), and starts to the light."""
     for i in range(len(face)):
         if face[i] < 0:
             continue

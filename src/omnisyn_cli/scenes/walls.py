@@ -105,10 +105,7 @@ def add_room_shell(
     build: SceneBuilder, cell: Cell, openings: Openings, use: str, *, casts_shadow: bool,
     finish: Callable[[np.random.Generator, str], Material] = wall_finish,
 ) -> None:  # fmt: skip
-    """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
-
-    ``use`` is "home" or "office"; the ceiling may cast a shadow; ``finish`` draws walls, as :func:`wall_finish` does.
-    """
+    """Add floor, ceiling, walls (by ``finish``), and skirting, window bars, curtains, doors, lamps for a ``use``."""
     rng = build.rng
     paint = finish(rng, use)
     accent = finish(rng, use) if rng.random() < 0.35 else paint

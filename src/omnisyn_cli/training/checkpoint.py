@@ -16,7 +16,7 @@ import torch
 from omnisyn_cli.errors import InputError, WriteError
 from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
 from omnisyn_cli.networks.export import read_weights
-from omnisyn_cli.runtime.models import ModelEntry, read_manifest
+from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.tasks import TASKS, kinds_for, parts_of
 
 # What every checkpoint has, compact or not.
@@ -105,20 +105,17 @@ def load_state(path: Path) -> dict[str, Any]:
                 prefix, weights = part.role.removeprefix(f"{SYNSIN}-"), read_weights(path.parent / part.file)
                 found |= {f"{prefix}.{name}": value for name, value in weights.items()}
     else:
-        kind, found = _kind(entry), read_weights(path)
+        kinds = [kind for kind in kinds_for(entry.role) if entry.variant in TASKS[kind].variants]
+        if not kinds:
+            what = f"{entry.name}, a {entry.role} network"
+            raise InputError(f"expected a network that can be trained, got {what}; name another")
+        kind, found = kinds[0], read_weights(path)
     config = TASKS[kind].variants[entry.variant]
     with of_this_version(path):
         own = TASKS[kind].build(config).state_dict()
         average = {name: found[name].reshape(value.shape).to(value.dtype) for name, value in own.items()}
     about = {"training": {"size": entry.size}, "step": 0, "scores": dict(entry.metrics)}
     return {"kind": kind, "network": config.as_dict(), **about, "average": average}
-
-
-def _kind(entry: ModelEntry) -> str:
-    for kind in kinds_for(entry.role):
-        if entry.variant in TASKS[kind].variants:
-            return kind
-    raise InputError(f"expected a network that can be trained, got {entry.name}, a {entry.role} network; name another")
 
 
 def load_network(path: Path) -> tuple[Any, dict[str, Any]]:

@@ -1,10 +1,8 @@
 """Training data for the completion network: what matching makes of procedural scenes, with the truth beside it.
 
-A scene is seen from three places on a line, upright but for small tilts, each with a heading of its own; two of the
-pairs are matched, both ways. Arrays are stored in half precision.
-
-The colours are varied before matching, and some poses are a little wrong, as in life. The truth is that of the centres
-of pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
+A scene is seen from three places on a line, with headings of their own; two of the pairs are matched, both ways, with
+varied colours and some wrong poses, as in life. Arrays are in half precision. The truth is that of the centres of
+pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
 """
 
 from collections.abc import Iterator

@@ -1,10 +1,8 @@
 """Training data on disk, and what is done to pictures before networks see them.
 
-A *pool* is a folder of ``NNNNNNNN.npz`` files, one per scene. A file holds samples, which are dataclasses of arrays: it
-has a ``NAME_k`` for every field of the one at ``k``. Files of walks have one (:class:`Walk`), those for the completion
-and the fusion network several (:mod:`omnisyn_cli.training.completion`, :mod:`omnisyn_cli.training.fusion_scenes`).
-
-A batch depends on the seed, the step and the pool alone, so a run can stop and go on anywhere.
+A *pool* is a folder of ``NNNNNNNN.npz`` files, one per scene, with samples, dataclasses of arrays: ``NAME_k`` is a
+field of the one at ``k``. Files of walks have one (:class:`Walk`), those for completion and fusion networks several. A
+batch depends on the seed, the step and the pool alone, so a run can stop and go on anywhere.
 """
 
 from collections.abc import Sequence
@@ -35,10 +33,9 @@ MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbour
 
 @dataclass(frozen=True)
 class Walk:
-    """Upright panoramas of one scene and heading along a straight line; any two of them are a stereo pair.
+    """Upright panoramas of one scene and heading along a line, any two a stereo pair; floats in half precision.
 
-    Some were matched, both ways round, at a quarter of the size, see :mod:`omnisyn_cli.training.pair_matching`. Floats
-    but for positions are stored in half precision.
+    Some pairs were matched, both ways round, at a quarter of the size, see :mod:`omnisyn_cli.training.pair_matching`.
     """
 
     images: UInt8[np.ndarray, "views height width 3"]
@@ -173,10 +170,7 @@ def reduced(image: Shaped[np.ndarray, "rows cols 3"], size: tuple[int, int]) -> 
 
 
 def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
-    """Values at the centres of the blocks that :func:`reduced` averages over.
-
-    Of an even block: the mean of four pixels if they are of one surface, else the nearest of them.
-    """
+    """Values at block centres: of an even block the mean of four pixels on one surface, else the nearest of them."""
     stride = inverse_depth.shape[0] // size[0]
     sides = ((stride - 1) // 2, stride // 2)
     around = np.stack([inverse_depth[row::stride, col::stride] for row in sides for col in sides])

@@ -1,16 +1,12 @@
 """Training data for the fusion network: renderings as the program makes them, and the truth.
 
-The ends of a straight way through a scene are photographed, their depth is estimated or, for a few, known, both
-surfaces are rendered from positions in between. Pictures are stored at twice the size of the pool; photographs and
-renderings are made at twice that size again. Every position is stored, in half precision, for a network at the size of
-the pool and, from 128 rows on, for one at half of it, since frames of several sizes are corrected; their order is
-random. Networks that paint frames see one size. Some poses are a little wrong, as in life.
+The ends of a straight way through a scene are photographed, a little wrong now and then, their depth is estimated or,
+for a few, known, and both surfaces are rendered from positions in between. Pictures are stored at twice the size of the
+pool, rendered at twice that again. Every position is stored for a network at the size of the pool and, from 128 rows
+on, for one at half of it, since frames of several sizes are corrected. Networks that paint see one size.
 
-Instead of new scenes a pool may show walks that were made before, see :mod:`omnisyn_cli.training.walks`: their ends are
-the photographs, and their other views the truth.
+Instead of new scenes a pool may show walks (:mod:`omnisyn_cli.training.walks`): their ends are the photographs.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -104,10 +100,7 @@ class FusionBatch:
 
 
 class _RecordingFuser(ResidualFuser):
-    """Fuses by rules, and keeps what networks of several heights would be shown and would choose from.
-
-    Heights that frames are too small for say nothing. Pictures are kept at ``stored_size``.
-    """
+    """Fuses by rules; keeps what networks of several heights would see and choose from, at ``stored_size``."""
 
     def __init__(self, size: tuple[int, int], heights: Sequence[int], stored_size: tuple[int, int]) -> None:
         super().__init__(size, lambda channels: channels[:4], heights[0], threads=1)

@@ -160,10 +160,7 @@ def _held_by_hand(
 
 
 def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor:
-    """L1 of √(inverse depth × baseline) at all scales, L1 of its gradients, log-loss of the Laplace scale; a scalar.
-
-    Errors are weighted by solid angle. The Laplace scale learns from errors that it cannot change.
-    """
+    """By solid angle: L1 at all scales and of gradients, log-loss of the Laplace scale by errors it cannot change."""
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth).float()
     unmatched = functional.interpolate(batch.unmatched, size=target.shape[-2:], mode="nearest")
     weight = known * polar_weights(target) * (1.0 + RELATIVE_WEIGHT / (RELATIVE_FLOOR + target))

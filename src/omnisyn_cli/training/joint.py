@@ -1,13 +1,9 @@
 """Depth and fusion trained together: both panoramas' depth, both meshes, the view between, one loss behind all of it.
 
-1. The depth network estimates both panoramas of a pair.
-2. Each becomes a mesh, cut at discontinuities as the renderer does it, and is rendered from a place between
-   (:mod:`omnisyn_cli.render.rasterize_torch`): gradients flow back to inverse depths through what a pixel shows and how
-   far away it is; which face it sees is a constant.
-3. The fusion network makes one picture of both renderings, which is compared with the true view from there.
-
-The losses of both networks are added: L1 of the depth, and L1 of the picture. Lengths are in baselines, and
-the view between is held in the forward frame, in which up is as far up as it can be.
+The depth network estimates both panoramas of a pair. Each becomes a mesh, cut at discontinuities, and is rendered from
+a place between (:mod:`omnisyn_cli.render.rasterize_torch`): gradients flow back to inverse depths through what a pixel
+shows and how far away it is; which face it sees is a constant. The fusion network makes one picture of both, and its L1
+is added to that of the depth. Lengths are in baselines, the view between is in the forward frame.
 
 Source: OmniSyn, section 3.6.
 """
@@ -154,10 +150,7 @@ def channels_between(
     inverse_depth: Float[Tensor, "2 batch rows cols"], confidence: Float[Tensor, "2 batch rows cols"],
     textures: Float[Tensor, "2 batch 3 rows cols"], position: Float[Tensor, " batch"],
 ) -> Float[Tensor, "batch channels rows cols"]:  # fmt: skip
-    """What the fusion network sees of pairs, from positions (shares of the way) between them.
-
-    Gradients flow to inverse depth × baseline and to textures, the colours of both panoramas.
-    """
+    """What fusion networks see from shares of the way between pairs; gradients flow to inverse depth and textures."""
     channels = []
     for k, t in enumerate(position.tolist()):
         first, second = (render_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i) for i in range(2))

@@ -273,10 +273,7 @@ def open_trainer(
     network: NetworkConfig, config: TrainConfig, path: Path, precision: Precision = PROCESSOR,
     weights: Mapping[str, torch.Tensor] | None = None,
 ) -> Trainer:  # fmt: skip
-    """A fresh trainer, with ``weights`` if there are any, or that of a checkpoint; a cool-down begins there.
-
-    Raises InputError: the checkpoint is of another version, or kind, whose data and rate would not suit it.
-    """
+    """A fresh trainer, or that of a checkpoint; a cool-down begins there. InputError: another version or kind."""
     if not path.exists():
         trainer = Trainer(network, config, precision)
         trainer.begin_with(weights or {})

@@ -38,10 +38,7 @@ def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "
 
 
 def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
-    """L1 of inverse depth × baseline of the high head, and half of that of the low head, a scalar.
-
-    Source: OmniSyn, section 3.6. Unlike there an estimate below zero is right where the target is infinitely far.
-    """
+    """L1 of the high head and half of that of the low one, a scalar (OmniSyn, section 3.6), clamped at infinity."""
     known, sqrt_inv_depth = _split_known(target)
     inverse_depth, weights = sqrt_inv_depth.square(), polar_weights(sqrt_inv_depth)
     high, low = (
@@ -74,10 +71,7 @@ def completion_loss(
     prediction: CompletionPrediction, target: Float[Tensor, "batch 1 height width"],
     reliable: Float[Tensor, "batch 1 height width"],
 ) -> Tensor:  # fmt: skip
-    """Expected L1 of both modes, L1 of the likelier one, their log-loss, gradients, edges, log-loss of the confidence.
-
-    Where matching is reliable (1), away from silhouettes, all but the gradients counts less than elsewhere (0).
-    """
+    """L1 of both modes and of the likelier one, log-losses, gradients, edges; reliable pixels count less."""
     known, target = _split_known(target)
     area = polar_weights(target) * known
     weight = area * (1.0 + UNRELIABLE_WEIGHT * torch.maximum(1.0 - reliable, _silhouette_mask(target)))
@@ -265,10 +259,7 @@ def fusion_scores(
     picture: Float[Tensor, "1 3 height width"], channels: Float[Tensor, "1 channels _ _"], truth: Tensor,
     geometric: Tensor,
 ) -> dict[str, float]:  # fmt: skip
-    """Of a picture and the geometric fusion, both as large as it: ``ws_psnr`` in dB, and its ``gain`` over that.
-
-    Mean absolute ``hole_error``, NaN without holes, and ``hole_gain``, by how much it is less than that of the fusion.
-    """
+    """``ws_psnr`` in dB, ``gain`` over the geometric fusion, absolute ``hole_error`` (NaN: none) and ``hole_gain``."""
     truth, geometric = (downsample_to(picture, image) for image in (truth, geometric))
     is_hole = (channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=1, keepdim=True) == 0).to(picture.dtype)
     hole = functional.interpolate(is_hole, size=tuple(picture.shape[-2:])).expand_as(picture) > 0

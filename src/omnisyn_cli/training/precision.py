@@ -30,10 +30,7 @@ class Precision:
 
 
 def choose_precision(device: str = "auto") -> Precision:
-    """What to train with; bfloat16 has the range of single precision, so no loss needs scaling.
-
-    ``auto`` is CUDA, else the processor in bfloat16 if it multiplies in it. InputError: unknown, or CUDA without a GPU.
-    """
+    """``auto``: CUDA, else bfloat16 if the processor has it. InputError: unknown, or CUDA without a GPU."""
     if device not in DEVICES:
         raise InputError(f"expected a device of {', '.join(DEVICES)}, got {device!r}")
     has_cuda = torch.cuda.is_available()

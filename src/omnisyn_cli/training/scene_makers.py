@@ -1,8 +1,7 @@
 """Filling a pool: procedural scenes made by worker processes, and the pairs of any data set with depth.
 
-Two photographs differ by more than colour: how far apart they were taken, and small errors of the poses. Each view is
-rotated by a fraction of a degree that its pose does not say. Inverse depth is NaN where the truth is not known (holes
-of a scan, masked pixels); nothing is learned there.
+Poses of photographs have small errors: each is rotated by a fraction of a degree that its pose does not say. Inverse
+depth is NaN where the truth is not known (holes of a scan, masked pixels); nothing is learned there.
 """
 
 import os
@@ -75,11 +74,10 @@ def _packed_photos(folder: str | None) -> Photos | None:
 def make_scene_files(
     folder: Path, seeds: range, make: Callable[[Path, int], Path | None], *, workers: int = 1
 ) -> Iterator[Path]:
-    """Make the missing scenes in worker processes that give way to everything else; yields finished files, any order.
+    """Make missing scenes in worker processes; yields finished files. ``make`` writes a seed's, or returns None.
 
-    ``make``, which can be pickled, writes a seed's file, or returns None where there is no room for a path.
-    OutputPathError: no folder can be made; WriteError: no space, scenes not begun are left out; OmnisynError: a worker
-    was killed, as where memory runs out.
+    OutputPathError: no folder can be made; WriteError: no space; OmnisynError: a worker was killed; finished scenes
+    stay.
     """
     make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
@@ -118,10 +116,7 @@ def take_photograph(
     scene: Scene, position: Float[np.ndarray, " 3"], tilt: float, error: float, rng: np.random.Generator,
     size: tuple[int, int], depth_size: tuple[int, int], *, supersample: int,
 ) -> View:  # fmt: skip
-    """A panorama taken by hand: with the pose it is said to have, and the inverse depth at the centre of each pixel.
-
-    ``tilt`` is as in :func:`random_rotation`, ``error`` as in :func:`noisy_pose`; a pixel has ``supersample``² samples.
-    """
+    """A panorama taken by hand, ``tilt`` as in :func:`random_rotation`; inverse depth at the centre of each pixel."""
     pose = Pose(random_rotation(rng, tilt), position)
     image, depth = render_panorama(scene, pose, size, supersample=supersample, threads=1)
     if depth_size != size:

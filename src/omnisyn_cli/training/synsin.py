@@ -1,9 +1,7 @@
 """How SynSin is taught and judged: pictures made of points, compared with the truth; depth in metres beside it.
 
-It learns from samples of walks (:class:`omnisyn_cli.training.data.Walk`), looking anywhere.
-
-The depth network learns from the true inverse depth as well as from the error of the picture. From pictures alone it
-would find a depth that suits them, in an unknown unit.
+It learns from samples of walks, looking anywhere. The depth network learns from the true inverse depth as well: from
+the error of pictures alone it would find a depth that suits them, in an unknown unit.
 """
 
 from collections.abc import Sequence

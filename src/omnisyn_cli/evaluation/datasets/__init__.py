@@ -20,10 +20,7 @@ FORMATS: Mapping[str, Finder] = {
 
 
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:
-    """The scenes of a folder of scenes, or a single one; ``auto`` is the first layout that finds something.
-
-    ``allow_outside``: depth and masks may lie elsewhere. InputError: there is no such folder, or no scene in it.
-    """
+    """The scenes of a folder, by the first ``layout`` that finds some; InputError: there is no folder, or no scene."""
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got none; check the name")
     finders: dict[str, Finder] = {**FORMATS, "omnisyn": partial(own_scenes, allow_outside=allow_outside)}

@@ -220,8 +220,7 @@ def tours_of_photographs(
 ) -> list[SceneSource]:
     """A scene for each pair that is chosen, with its photographs between; all of a folder, or of the folders in it.
 
-    Poses and masks (elsewhere with ``allow_outside``) are those of ``poses.json``, else estimated per scene when it is
-    read, in an unknown unit of length. InputError: there are none; a ``poses.json`` is damaged; or a pair is not there.
+    Without ``poses.json`` poses are estimated, in an unknown unit. InputError: none, a damaged file, or an absent pair.
     """
     scenes = []
     places = {place: name for each in (POSES_NAME, PHOTOGRAPHS) for name, place in scene_folders(folder, each)}

@@ -1,18 +1,16 @@
 """What a frame shows that is not there: flying pixels, and shards.
 
-Flying pixels are far from the truth, and from all that either photograph shows anywhere near. A surface at a wrong
-distance displaces what a photograph shows; one that flies puts it where neither photograph has anything like it. How
-near counts as near follows from the true depth of both photographs. Carried to the frame, it says for every cell of
-2.8° between which distances things lie there and in the eight cells around. Between the places of these two distances,
-on its epipolar line, a photograph may rightly show a pixel's direction; 1.4° beside that line is near as well. In cells
-that neither depth reaches the line begins at infinity and ends at the nearest distance that depth is scored at.
+Flying pixels are far from the truth, and from all that either photograph shows near. The true depth of both, carried to
+the frame, says for every cell of 2.8° between which distances things lie in and around it. Between the places of these
+on its epipolar line, and 1.4° beside it, a photograph may rightly show a pixel's direction. In cells that no depth
+reaches the line begins at infinity and ends at the nearest scored distance.
 
 Shards are edges of a frame that neither photograph has anywhere near, as torn surfaces make them. An edge is the
-colours on its two sides and its direction from the camera. Two edges are as far apart as these nine numbers, each in
-its own scale. An edge that is farther than 1 from every edge of both photographs is a shard. The wide scale of
-directions allows for parallax, so no depth is needed. No true frame is needed either.
+colours on its two sides and its direction: nine numbers, each in its own scale. One that is farther than 1 from every
+edge of both photographs is a shard. The wide scale of directions allows for parallax, so no depth or true frame is
+needed.
 
-Their constants are those that tell torn frames from true ones best on fifteen wide walks through generated scenes.
+Constants are those that tell torn frames from true ones best on fifteen wide walks through generated scenes.
 """
 
 from collections.abc import Sequence
@@ -49,10 +47,7 @@ class _Pixels(NamedTuple):
 
 
 def flying_share(image: Picture, truth: Picture, pose: Pose, views: tuple[View, View]) -> float:
-    """Share of the sphere whose pixels fly.
-
-    ``truth`` was seen at ``pose``; RGB in [0, 1]. ValueError: sizes differ, or a view (photograph) has no known depth.
-    """
+    """Share of the sphere that flies; RGB in [0, 1], ``truth`` seen at ``pose``; ValueError: other sizes, no depth."""
     weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape[:2])
     return float(weights[flying_pixels(image, truth, pose, views)].sum() / weights.sum())
 

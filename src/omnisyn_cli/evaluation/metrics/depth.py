@@ -135,10 +135,7 @@ def merged_reliability(diagrams: list[Mapping[str, Mapping[str, float]]]) -> dic
 
 
 def rank_correlation(one: Values, other: Values, weights: Values) -> float | None:
-    """Spearman's correlation of two lists whose entries count by their weights; None where either is constant.
-
-    An entry's rank is the weight of all that are less, and half of that of all that are equal.
-    """
+    """Spearman's, weighted (rank: weight of all less, half of all equal); None where either is constant."""
     first, second = (_ranks(values, weights) for values in (one, other))
     first, second = (ranks - np.average(ranks, weights=weights) for ranks in (first, second))
     spread = np.average(first**2, weights=weights) * np.average(second**2, weights=weights)

@@ -38,29 +38,21 @@ def end_psnr(image: Picture, truth: Picture, *, is_bottom: bool) -> float:
 
 
 def ws_psnr(image: Picture, truth: Picture) -> float:
-    """PSNR in dB with every pixel weighted by its share of the sphere.
-
-    Source: Sun, Lu and Yu, Weighted-to-spherically-uniform quality evaluation for omnidirectional video, 2017.
-    """
+    """PSNR in dB weighted by share of the sphere. Source: Sun, Lu and Yu, Weighted-to-spherically-uniform …, 2017."""
     return decibels(mean_over_sphere(squared_error(image, truth)))
 
 
 def ssim(image: Picture, truth: Picture) -> float:
     """Mean structural similarity, 1 for equal pictures, over the pixels whose whole window lies in the picture.
 
-    The picture is taken as flat; channels are averaged; variances are those of the population. Source: Wang, Bovik,
-    Sheikh and Simoncelli, Image quality assessment: from error visibility to structural similarity, 2004.
+    Flat, channels averaged, population variances. Source: Wang et al., Image quality assessment, 2004.
     """
     _check_window(image, truth)
     return float(similarity(image, truth).mean())
 
 
 def ws_ssim(image: Picture, truth: Picture) -> float:
-    """SSIM of every pixel by its share of the sphere; windows reach across the seam and over the poles.
-
-    Source: Zhou, Yu, Ma, Shao and Jiang, Weighted-to-spherically-uniform SSIM objective quality evaluation for
-    panoramic video, 2018; continued over the borders instead of cropped.
-    """
+    """SSIM by share of the sphere, over seam and poles (Zhou et al., Weighted-to-spherically-uniform SSIM, 2018)."""
     _check_window(image, truth)
     return mean_over_sphere(similarity(add_border(image, SSIM_WINDOW // 2), add_border(truth, SSIM_WINDOW // 2)))
 

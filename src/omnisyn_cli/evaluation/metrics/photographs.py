@@ -39,10 +39,7 @@ def photograph_scores(image: Picture, truth: Picture, usable: Usable) -> dict[st
 def _fit_to_photograph(
     image: Picture, truth: Picture, usable: Usable
 ) -> tuple[Picture, Picture, Float32[np.ndarray, "height width"]]:
-    """The frame in the light of the photograph; the same aligned by optical flow, and the degrees that this moves it.
-
-    It moves by at most :data:`MAX_FLOW_DEG`. Where nothing may be compared the photograph itself is shown.
-    """
+    """The frame relit; the same aligned by flow up to :data:`MAX_FLOW_DEG`; degrees moved. Elsewhere the photograph."""
     weights = solid_angles(*usable.shape)[usable]
     lit = np.array(truth, np.float32)
     for channel in range(3):

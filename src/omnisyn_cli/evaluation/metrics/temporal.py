@@ -1,11 +1,8 @@
 """How steady a video of a static scene is, followed along the geometry it was made with.
 
-A point that is seen in one frame is found in another by its inverse depth and both poses; nothing is estimated from
-the pictures. Pictures are RGB in [0, 1], errors are in the same unit, means are weighted by solid angle.
-
-Frames are of one size. Each has an inverse depth in this size (1/m; 0 is infinitely far, negative or NaN unknown) and a
-pose, world-from-camera. ValueError for too few frames, numbers or sizes that do not agree, or neighbours that see
-nothing in common.
+A point that is seen in one frame is found in another by its inverse depth (1/m; 0 is infinitely far, negative or NaN
+unknown) and both poses, world-from-camera; nothing is estimated from the pictures, RGB in [0, 1]. Means are weighted by
+solid angle. ValueError for too few frames, sizes or numbers that differ, or neighbours with nothing in common.
 """
 
 from collections.abc import Sequence
@@ -29,10 +26,7 @@ InverseDepths = Sequence[Float[np.ndarray, "height width"]]
 
 
 def change_psnr(frames: Frames, truths: Frames) -> list[float]:
-    """How well each frame but the first changes from the one before as the true frames do: PSNR on the sphere, dB.
-
-    Of ``(made_k − made_{k−1}) − (true_k − true_{k−1})``: what is wrong alike in both frames is no error here.
-    """
+    """WS-PSNR of ``(made_k − made_{k−1}) − (true_k − true_{k−1})``, dB: what is wrong alike in both is no error."""
     return [
         ws_psnr(after - before, true_after - true_before)
         for (before, after), (true_before, true_after) in zip(pairwise(frames), pairwise(truths), strict=True)

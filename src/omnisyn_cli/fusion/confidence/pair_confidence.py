@@ -1,9 +1,8 @@
 """Confidence of a pair: how well each photograph predicts the other, without ground truth.
 
-Correct depth and poses carry a photograph to where the other one was taken, and there it must look like it. The pair is
-thus its own test, because the prediction uses none of the colours that it is compared with. That error, and the
-difference of both layers half way, rank clips as the true WS-PSNR of their frames does (Spearman 0.98 over 39 pairs,
-see ``docs/confidence.md``).
+Correct depth and poses carry a photograph to where the other one was taken, and there it must look like it; colours of
+that one are not used. This error and the difference of both layers half way rank clips as their true WS-PSNR does
+(Spearman 0.98 over 39 pairs, see ``docs/confidence.md``).
 """
 
 import math
@@ -71,10 +70,7 @@ class WindowComparison(NamedTuple):
 
 
 def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:
-    """The confidence of a pair, from layers of equal exposure; those of a tuple have one size.
-
-    ``across``: at both panoramas, the photograph itself and the other view's layer there. ``middle``: both half way.
-    """
+    """``across``: each photograph and the other view's layer there; ``middle``: both half way; of equal exposure."""
     errors = [_mean_error(own, other) for own, other in (*across, middle)]
     # The photographs against each other count as much as the layers half way.
     error = 0.5 * (0.5 * (errors[0] + errors[1]) + errors[2])
@@ -105,10 +101,7 @@ def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:
 
 
 def _doubling(one: Layer, other: Layer) -> float:
-    """Share of the windows with contrast, of those that both layers show, whose structure differs.
-
-    Where contours lie side by side the frame has them twice. Areas without contrast do not count.
-    """
+    """Share of seen windows with contrast whose structure differs: contours side by side are there twice."""
     windows = compare_windows(one, other)
     has_contrast = _seen(one) & _seen(other) & (windows.contrast > MIN_CONTOUR_CONTRAST)
     weight = solid_angles(*has_contrast.shape) * has_contrast

@@ -19,10 +19,7 @@ MAX_CLIPPED_SHARE = 0.02  # share of the sphere above which a picture counts as 
 
 
 def rough_exposure_curve(first: View, second: View) -> ExposureCurve:
-    """A rough exposure curve without correspondences, see :func:`estimate_gain`.
-
-    Rooms a few metres apart differ by half a stop without being exposed differently, so it has to be confirmed.
-    """
+    """:func:`estimate_gain` of two rooms, to be confirmed: half a stop may be the place, and not the exposure."""
     return estimate_gain(_uniform_samples(first), _uniform_samples(second))
 
 

@@ -1,18 +1,14 @@
 """The exposure curve of a pair: how much brighter one picture is than the other, for every channel and level.
 
-Light is counted in stops, ``log2`` of linear light (1 is white at 0 stops). A place that the first picture shows at
-``y1`` and the second at ``y2`` stops has the *level* ``m = (y1 + y2) / 2`` and the *gain* ``g(m) = y2 − y1``. At a
-share ``t`` of the way it is shown at
-
-    ``y(t) = m + (t − ½)·g(m)``.
-
-So its brightness in stops changes steadily, both pictures agree on it, and at the ends each is what it was. A change of
-exposure is one constant ``g`` for all channels, a change of white balance one constant for each. Other tone curves make
-``g`` a function of the level, so it is kept at a few knots.
+Light is counted in stops, ``log2`` of linear light. A place that the first picture shows at ``y1`` and the second at
+``y2`` stops has the *level* ``m = (y1 + y2) / 2`` and the *gain* ``g(m) = y2 − y1``, and is shown at ``m + (t −
+½)·g(m)`` a share ``t`` of the way: brightness changes steadily, both pictures agree on it, and the ends are what they
+were. A change of exposure is one constant ``g``, of white balance one for each channel; other tone curves make it a
+function of the level, so it is kept at a few knots.
 
 ``g`` is the weighted median of ``y2 − y1`` among places of one level that both pictures show. Sorting by the mean of
-both, not by one of them, keeps noise and slightly wrong places from bending it (Altman and Bland, Measurement in
-medicine, 1983), and makes the fit symmetric in the two pictures.
+both keeps noise and slightly wrong places from bending it (Altman and Bland, Measurement in medicine, 1983), and makes
+the fit symmetric in the two pictures.
 """
 
 from __future__ import annotations
@@ -79,10 +75,7 @@ class ExposureCurve:
         return ExposureCurve(-self.gain)
 
     def table(self, t: float, *, of_second: bool) -> Float[np.ndarray, "3 entries"]:
-        """The sRGB values at a share ``t`` of the way, of the values ``linspace(0, 1, entries)`` of one picture.
-
-        Rising from 0 to at most 1 (white); the identity at the picture's own end of the way.
-        """
+        """Of ``linspace(0, 1, entries)`` at ``t``: sRGB, rising to at most 1; at its own end the identity."""
         srgb, share = np.linspace(0.0, 1.0, EXPOSURE_TABLE_ENTRIES), t - float(of_second)
         if share == 0.0 or self.is_identity:
             return np.tile(srgb, (3, 1)).astype(np.float32)
@@ -120,10 +113,7 @@ def estimate_curve(
 def cross_validated_curve(
     samples: Sequence[tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"], np.ndarray]],
 ) -> ExposureCurve:
-    """:func:`estimate_curve` of two halves of samples; zero unless the curve of each half holds in the other.
-
-    Wrong depth pairs different places, and a curve fits these as well. But then few samples agree with it.
-    """
+    """Of two halves of samples; zero unless each one's curve holds in the other: of wrong depth few agree."""
     for half, other in (samples, samples[::-1]):
         inliers, without, by_chance = _inlier_shares(estimate_curve(*half), *other)
         excess = (inliers - by_chance) / max(1.0 - by_chance, 1e-9)
@@ -135,10 +125,7 @@ def cross_validated_curve(
 def _inlier_shares(
     curve: ExposureCurve, first: np.ndarray, second: np.ndarray, weight: np.ndarray
 ) -> tuple[float, float, float]:
-    """Shares of the usable samples that a curve explains, that no curve explains, and that it explains by chance.
-
-    Chance pairs each sample of the first picture with any sample of the second. Shares are means over the channels.
-    """
+    """Mean shares of samples that a curve explains, that none does, and that it does of shuffled (chance) pairs."""
     shares = np.zeros((3, 3))
     for k in range(3):
         before, after, usable = _usable_stops(first[:, k], second[:, k], weight)
@@ -214,10 +201,7 @@ def _mean_magnitude(stops: np.ndarray, weight: np.ndarray) -> float:
 def _median_gains(
     level: np.ndarray, change: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Level, weighted median of the change, and weight of every bin of levels that has samples.
-
-    The median is read from a histogram, linearly inside its bin, instead of sorting millions of samples.
-    """
+    """Level, weighted median of the change (from a histogram: no sorting of millions) and weight of filled bins."""
     lowest, columns = KNOTS[0] - 2.0, int(2 * MAX_GAIN_STOPS * GAIN_BINS_PER_STOP)
     rows = int((2.0 - lowest) * LEVEL_BINS_PER_STOP)
     row = np.clip(((level - lowest) * LEVEL_BINS_PER_STOP).astype(np.intp), 0, rows - 1)

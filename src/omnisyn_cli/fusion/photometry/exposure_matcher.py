@@ -20,18 +20,11 @@ CLIPPING_SRGB = np.float32(0.94)
 MAX_CLIPPED_WEIGHT_LOSS = 0.95
 
 
-def _make_exposure_change(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:
-    return lambda colour: expose_rows(colour, table, loss, CLIPPING_SRGB)
-
-
 @dataclass(frozen=True)
 class ExposureMatcher:
     """Gives the layers of a pair one exposure; costs nothing where both were exposed alike."""
 
     curve: ExposureCurve  # gain from the first view to the second
-    # given a table, see :meth:`ExposureCurve.table`, and the share of its weight that a white pixel loses, returns what
-    # exposes colours in place; by default numpy arrays
-    change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _make_exposure_change
 
     def __call__(self, first: Layer, second: Layer, t: float) -> tuple[Layer, Layer]:
         """Both layers as they look at a share ``t`` of the way.
@@ -49,7 +42,10 @@ class ExposureMatcher:
 
     def _expose(self, layer: Layer, table: np.ndarray) -> Layer:
         """A layer whose colours go through a table when they are shaded."""
-        change = self.change(table, clipped_weight_loss(table))
+        loss = clipped_weight_loss(table)
+
+        def change(colour: np.ndarray) -> None:
+            expose_rows(colour, table, loss, CLIPPING_SRGB)
 
         def colour_rows(begin: int, end: int, out: Array) -> None:
             layer.colour_rows(begin, end, out)

@@ -68,10 +68,7 @@ def find_places(caster: MeshCaster, rng: np.random.Generator, count: int, attemp
 def find_line(
     caster: MeshCaster, places: list[Place], rng: np.random.Generator, frames: int
 ) -> list[Float[np.ndarray, " 3"]] | None:
-    """A straight walk from one of the places: its first and last position and some between; None if there is none.
-
-    Its length is drawn evenly in its logarithm, relative to the median distance around its beginning.
-    """
+    """A straight walk from a place: ends and some between, evenly by log length over median distance; or None."""
     for _ in range(ATTEMPTS if places else 0):
         place = places[rng.integers(len(places))]
         length = min(place.median * float(np.exp(rng.uniform(*np.log(BASELINES)))), LONGEST_WALK)

@@ -40,10 +40,7 @@ class Hits:
 
 
 class Caster:
-    """Triangles (metres), at least one, prepared for rays.
-
-    Rays pass ``perforated`` faces where ``is_hole(faces, points)``. InputError: Embree is not installed.
-    """
+    """Triangles (metres) for rays, which pass ``perforated`` faces where ``is_hole``; InputError: no Embree."""
 
     def __init__(
         self, vertices: Float32[np.ndarray, "vertices 3"], faces: Int32[np.ndarray, "faces 3"],

@@ -89,10 +89,7 @@ def sphere_directions(count: int, turn: float = 0.0) -> Float[np.ndarray, "count
 
 
 def draw_lighting(caster: MeshCaster, rng: np.random.Generator, around: Float[np.ndarray, " 3"], rays: int) -> Lighting:
-    """Light by chance: some sky, brighter on one side, and lamps at emissive faces or below what is above.
-
-    Lamps hang near ``around``, a place for cameras, where the mesh has none. Every point asks ``rays`` directions.
-    """
+    """Some sky, brighter on one side, lamps at emissive faces or near ``around``; points ask ``rays`` directions."""
     directions = sphere_directions(rays, rng.uniform(0.0, 2.0 * math.pi))
     tint = np.exp(rng.normal(0.0, 0.08, 3))
     sun = rng.normal([0.0, 1.0, 0.0], 1.0)
@@ -228,11 +225,11 @@ class MeshScene:
 
 
 def render_mesh(
-    scene: MeshScene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
+    scene: MeshScene, pose: Pose, size: tuple[int, int], *, supersample: int = 2
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
     """:func:`render` of a mesh, with the exposure that suits the pose where the scene has none."""
     scene = scene if scene.exposure else scene.exposed_at(pose)
-    return render(scene.caster, scene.shader, pose, size, supersample, threads)
+    return render(scene.caster, scene.shader, pose, size, supersample)
 
 
 def developed(light: Float[np.ndarray, "*shape"], exposure: float) -> Float[np.ndarray, "*shape"]:
