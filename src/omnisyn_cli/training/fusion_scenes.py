@@ -125,7 +125,7 @@ class _RecordingFuser(ResidualFuser):
     ) -> None:
         """See :class:`omnisyn_cli.fusion.residual.ResidualFuser`; nothing is corrected."""
         pictures = [picture, *candidates.candidates(self.size)[..., :3]]
-        shown = [resize_area(each, self._stored_size).transpose(2, 0, 1) for each in pictures]
+        shown = [np.ascontiguousarray(resize_area(each, self._stored_size).transpose(2, 0, 1)) for each in pictures]
         self.seen.append((channels, np.concatenate(shown)))
 
 
@@ -204,7 +204,7 @@ def _samples(pair: _TruePair, run_config: RunConfig, config: FusionSceneConfig) 
     method = SurfaceMethod(_estimator(run_config.depth), options, fuser)
     for k, _ in enumerate(synthesize(pair.ends, pair.path, method)):
         if fuser.seen:
-            truth = resize_area(pair.truth(k), stored_size).transpose(2, 0, 1)
+            truth = np.ascontiguousarray(resize_area(pair.truth(k), stored_size).transpose(2, 0, 1))
             for channels, pictures in fuser.seen:
                 error = mean_over_sphere(np.square(pictures[:3] - truth).transpose(1, 2, 0))
                 half, squared = np.float16, np.asarray(error, np.float32)
