@@ -14,11 +14,11 @@ from omnisyn_cli.io.depth_files import is_depth_header, read_depth
 from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.io.images import read_panorama
 from omnisyn_cli.io.spherical import read_spherical
+from omnisyn_cli.io.tagging import BOXED_SUFFIXES
 from omnisyn_cli.poses.file import read_poses
 
-BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
 VIDEO_SUFFIXES = (*BOXED_SUFFIXES, ".mkv", ".webm", ".avi")
-"""Files of ISO boxes, which can hold spherical metadata; files that FFmpeg describes."""
+"""Files that FFmpeg describes."""
 
 PROBE_SECONDS = 60  # after which FFmpeg is given up. Set by hand.
 # What FFmpeg prints of a video stream.

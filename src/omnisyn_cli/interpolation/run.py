@@ -66,11 +66,12 @@ def _confidence_sink(plan: InterpolationPlan) -> AbstractContextManager[FrameSin
 @contextmanager
 def _frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
     """Where frames go, in the order of :func:`omnisyn_cli.interpolation.job.targets`."""
-    job = plan.job
+    job, places = plan.job, targets(plan.job)
+    places[job.output]["soundtrack"] = plan.soundtrack
     with ExitStack() as stack:
         opened = [
             open_video(place, size=plan.frame_size, threads=job.threads or 0, overwrite=job.overwrite, **encoding)
-            for place, encoding in targets(job).items()
+            for place, encoding in places.items()
         ]
         sinks = [stack.enter_context(sink) for sink in opened]
         yield [stack.enter_context(BackgroundSink(sink, frames_in_queue(plan.frame_size))) for sink in sinks]

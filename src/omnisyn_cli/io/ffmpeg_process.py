@@ -1,6 +1,7 @@
 """ffmpeg as a process of ours: frames go in or come out, its last words are heard, nothing stays behind."""
 
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -17,6 +18,7 @@ from jaxtyping import Shaped, UInt8
 from omnisyn_cli.errors import EncodingError, InputError, WriteError
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.soundtrack import Soundtrack
 
 MAX_STDERR_LINES = 12  # the last lines of ffmpeg that an error message quotes
 KILL_TIMEOUT_SECONDS = 10  # that ffmpeg has to end once its input is closed or it has failed
@@ -167,6 +169,29 @@ def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8
         words = " | ".join(done.stderr.decode("utf-8", "replace").split("\n")[:3])
         raise EncodingError(f"{path}: expected a video that ffmpeg can read, got '{words}'; make it again")
     yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)
+
+
+SOUND_STREAM = re.compile(r"Stream #0:\S+ Audio: (\w+)")  # what ffmpeg prints of a stream
+DECODED_MICROSECONDS = re.compile(r"out_time_us=(\d+)")  # and, with ``-progress``, of what it has decoded
+
+
+def read_soundtrack(path: Path, video_seconds: float) -> Soundtrack:
+    """Decode the sound of a file, for a video of a length. InputError: there is none, or it cannot be decoded."""
+    check_is_file(path)
+    command = [
+        ffmpeg_program(), "-hide_banner", "-nostdin", "-nostats", "-progress", "-", "-protocol_whitelist", "file",
+        "-i", f"file:{path.absolute()}", "-map", "0:a:0", "-f", "null", "-",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
+    said = done.stderr.decode("utf-8", "replace")
+    stream = SOUND_STREAM.search(said)
+    decoded = DECODED_MICROSECONDS.findall(done.stdout.decode("ascii", "replace"))
+    seconds = float(decoded[-1]) / 1e6 if decoded else 0.0
+    if done.returncode != 0 or stream is None or seconds <= 0.0:
+        found = said.strip().splitlines()[-1:] or ["nothing"]
+        words = f"'{found[0]:.200}' from ffmpeg" if stream or "Input #0" not in said else "a file without sound"
+        raise InputError(f"{path}: expected a file with sound for --audio, got {words}; name another")
+    return Soundtrack(path, stream[1], seconds, video_seconds)
 
 
 # Files that frames are taken from.
