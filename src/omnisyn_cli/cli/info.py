@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.failures import EXIT_INPUT
-from omnisyn_cli.cli.options import preset_option, scale_options
+from omnisyn_cli.cli.options import preset_option, reading_options, scale_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
-from omnisyn_cli.cli.progress import shown_stages
+from omnisyn_cli.cli.progress import leftover_notes, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
 
@@ -26,11 +26,12 @@ from omnisyn_cli.cli.terminal import print_json, say
 )  # fmt: skip
 @preset_option
 @scale_options
+@reading_options
 @click.option("--overwrite", is_flag=True, help="Replace the report if it exists.")
 @click.pass_context
 def info(
     context: click.Context, /, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
-    report: Path | None, **options: Any,
+    report: Path | None, upper_half: bool, hfov: float | None, vfov: float | None, horizon: float, **options: Any,
 ) -> None:  # fmt: skip
     """Show what the program reads in panoramas, depth files, pose files and videos.
 
@@ -42,12 +43,15 @@ def info(
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.describe import describe_file
     from omnisyn_cli.io import MAX_PIXELS
+    from omnisyn_cli.io.placement import Reading
 
-    describe = partial(describe_file, max_pixels=max_pixels or MAX_PIXELS, allow_outside=allow_outside)
+    reading = Reading(upper_half, hfov, vfov, horizon)
+    limits: dict[str, Any] = {"max_pixels": max_pixels or MAX_PIXELS, "allow_outside": allow_outside}
+    describe = partial(describe_file, reading=reading, **limits)
     descriptions = show_described(context, files, describe, as_json=as_json)
     if report is not None:
-        options |= {} if max_pixels is None else {"max_pixels": max_pixels}
-        _report(descriptions, report, allow_outside=allow_outside, **options)
+        parts = {"upper_half": upper_half, "hfov": hfov, "vfov": vfov, "horizon": horizon}
+        _report(descriptions, report, **limits, **parts, **options)
 
 
 def show_described(
@@ -79,6 +83,8 @@ def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) ->
         raise click.UsageError(f"expected one pose file with --report, got {len(named['poses'])}; name one")
     poses = (*named["poses"], POSES_FROM_PICTURES)[0]
     with shown_stages(is_quiet=False) as stages, while_timing(stages.time):
+        for note in leftover_notes(report):
+            stages.note(f"note: {note}")
         if poses == POSES_FROM_PICTURES:
             stages.show("poses")
         plan = write_pair_report(TourJob(named["panorama"], poses, report, **options))

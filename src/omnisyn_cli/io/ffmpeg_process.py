@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import subprocess
-import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from jaxtyping import Shaped, UInt8
 from omnisyn_cli.errors import EncodingError, InputError, WriteError
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.outputs import scratch_folder
 from omnisyn_cli.io.soundtrack import Soundtrack
 
 MAX_STDERR_LINES = 12  # the last lines of ffmpeg that an error message quotes
@@ -205,16 +205,16 @@ def frames_of_video(path: Path, seconds: float) -> Iterator[tuple[Path, ...]]:
     Colours are taken for BT.709, as cameras for 360° write them. InputError: no video, or fewer than two frames.
     """
     check_is_file(path)
-    with tempfile.TemporaryDirectory(prefix="omnisyn-frames-") as folder:
+    with scratch_folder() as folder:
         choice = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t,{seconds:.6f}-0.5/30)'"
         command = [
             ffmpeg_program(), "-hide_banner", "-loglevel", "error", "-nostdin", "-protocol_whitelist", "file",
             "-i", f"file:{path.absolute()}", "-map", "0:v:0", "-fps_mode", "passthrough",
             "-vf", f"{choice},scale=in_color_matrix=bt709:flags=bicubic+accurate_rnd+full_chroma_int,format=rgb24",
-            "-compression_level", "1", str(Path(folder) / "frame%05d.png"),
+            "-compression_level", "1", str(folder / "frame%05d.png"),
         ]  # fmt: skip
         finished = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
-        frames = tuple(sorted(Path(folder).glob("*.png")))
+        frames = tuple(sorted(folder.glob("*.png")))
         if finished.returncode != 0 or not frames:
             lines = finished.stderr.decode("utf-8", "replace").strip().splitlines() or ["no frames"]
             raise InputError(f"{path}: expected a video, got '{lines[-1]:.200}'; export it as MP4")

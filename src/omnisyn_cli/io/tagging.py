@@ -72,13 +72,16 @@ def described_tags(path: Path) -> dict[str, Any]:
         found = read_spherical(path)
         (height, width), versions = found.size, (found.has_version_1, found.has_version_2)
         tags = [f"version {number}" for number, is_there in enumerate(versions, start=1) if is_there]
-        said = {"projection": found.projection, "stereo_mode": found.stereo_mode, "software": found.software}
-        return {"kind": "video", "width": width, "height": height, "tags": tags, **said, "players": [*_of_video(found)]}
+        return {
+            "kind": "video", "width": width, "height": height, "tags": tags, "projection": found.projection,
+            "stereo_mode": found.stereo_mode, "software": found.software, "players": [*_of_video(found)],
+        }  # fmt: skip
     header = read_header(path)
     projection = header.attributes.get(PROJECTION_TAG)
-    said = {"projection": projection, "players": [*_of_picture(header)]}
-    tags = [] if projection is None else ["GPano"]
-    return {"kind": "picture", "width": header.width, "height": header.height, "tags": tags, **said}
+    return {
+        "kind": "picture", "width": header.width, "height": header.height,
+        "tags": [] if projection is None else ["GPano"], "projection": projection, "players": [*_of_picture(header)],
+    }  # fmt: skip
 
 
 def _of_video(found: SphericalMetadata) -> Iterator[str]:
