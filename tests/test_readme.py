@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import wave
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -282,6 +283,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         turn = axes @ pose.rotation.T @ axes
         numbers = [*quaternion_from_rotation(turn), *(-turn @ axes @ pose.position)]
         model += [f"{k} {' '.join(map(repr, map(float, numbers)))} 1 hall_{k}.tif", ""]
+    with wave.open(str(folder / "song.wav"), "wb") as song:
+        song.setparams((1, 2, 8000, 0, "NONE", ""))
+        song.writeframes(bytes(2 * 8000))
     (folder / "cars").rename(folder / "street")
     (folder / "places.csv").write_text("\n".join(rows) + "\n")
     (folder / "model").mkdir()

@@ -85,3 +85,16 @@ def test_a_report_is_about_two_panoramas_and_one_pose_file(tmp_path: Path, room:
         assert message in result.err
         assert result.code in (2, 3)
         assert not page.exists()
+
+
+def test_parts_of_the_sphere_are_read_as_for_a_video(tmp_path: Path, room: list[Path], omnisyn: Omnisyn) -> None:
+    """Nothing is to see above the middle half and below it."""
+    for path in room:
+        image = read_panorama(path).original
+        assert image is not None
+        write_image(path, np.ascontiguousarray(image[len(image) // 4 : -len(image) // 4]))
+    said = omnisyn.json("info", *room, "--hfov", 360)
+    assert [each["usable_share"] for each in said] == pytest.approx([0.5, 0.5], abs=0.01)
+    parts = ("--hfov", 360, "--preset", "fast", "--report", tmp_path / "report.html")
+    omnisyn.made("info", *room, tmp_path / "poses.json", *parts)
+    assert "the poses fit" in (tmp_path / "report.html").read_text()

@@ -1,5 +1,6 @@
 """A 360° video as input: frames of it become panoramas, squeezed ones are stretched, and nothing is left behind."""
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation import summary
 from omnisyn_cli.io import open_video, read_header
 from omnisyn_cli.io.ffmpeg_process import frames_of_video
+from omnisyn_cli.io.outputs import temporary_name
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 SIZE = (216, 384)
@@ -47,16 +49,20 @@ def test_a_video_between_frames_of_a_video(
     temporary = tmp_path / "temporary"  # of its own: other tests run beside this one and clean up behind themselves
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    left = Path(str(temporary_name(temporary)).replace(f"-{os.getpid()}-", "-99999999-"))
+    left.mkdir()  # by a run that was killed
     monkeypatch.setattr(summary, "CONFIDENCE_WORDS", ((1.1, "high"), (0.0, "low")))
     out = tmp_path / "out"
     out.mkdir()
     result = omnisyn.made("interpolate", video, "--every", "2s", "-o", out / "out.mp4", "--frames", 3,
                           "--size", "64x32", "--preset", "fast", "--threads", 2)  # fmt: skip
     assert "to try: " in result.out
-    assert "omnisyn-frames-" not in result.out + result.err  # no command that names frames that are gone
+    assert result.err.count(".omnisyn-") == 1
+    assert f"remove them with: rm -r {left}\n" in result.err
+    assert ".omnisyn-" not in result.out  # no command that names frames that are gone
     assert "16:9, taken for squeezed frames of a 360° video" in result.err
     assert list(listing(out)) == ["out.mp4"]
-    assert not [name for name in listing(temporary) if "omnisyn-frames-" in name]
+    assert list(temporary.iterdir()) == [left]
 
 
 def test_videos_and_the_option_go_together(video: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:

@@ -118,6 +118,10 @@ def test_two_runs_with_one_output_and_leftovers_are_told_at_once(
     assert f"remove them with: rm -r {gone}\n" in omnisyn.made(*words).err
     assert f"remove them with: rm -r {gone}\n" in omnisyn.ended(3, *words).err
     gone.unlink()
+    (tmp_path / "pages").mkdir()
+    left = left_by(monkeypatch, ended_process(), tmp_path / "pages")
+    page = ("--view", tmp_path / "pages" / "walk.html")
+    assert f"rm -r {left}\n" in omnisyn.made(*words, "--overwrite", *page).err
     assert "hidden files" not in omnisyn.made(*words, "--overwrite").err
 
 

@@ -141,3 +141,7 @@ def test_walks_of_a_recipe_become_a_pool(tmp_path):
     np.testing.assert_allclose(small.positions, positions, rtol=1e-5)
     for k in range(3):
         np.testing.assert_allclose(small.inverse_depth[k], walk.inverse_depth[k][::2, ::2], rtol=0.05)
+    assert CliRunner().invoke(train_command, [*arguments, "--pairs", "1:2"]).exit_code == 0
+    pair = load_walk(tmp_path / "pool" / "00000001-1-2.npz")
+    np.testing.assert_allclose(pair.positions[1], np.subtract(positions[2], positions[1]), rtol=1e-3)
+    np.testing.assert_array_equal(pair.images, small.images[1:])

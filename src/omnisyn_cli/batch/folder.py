@@ -7,7 +7,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,6 +21,7 @@ from omnisyn_cli.io.outputs import (
     check_kept,
     hidden_folder,
     lock,
+    scratch_folder,
     temporary_name,
     write_errors,
 )
@@ -160,8 +160,8 @@ def _remove(staging: Path) -> None:
 def attempt_folder(staging: Path) -> Iterator[tuple[Path, bool]]:
     """An empty folder for one attempt, and whether it is in the hidden one, which another machine may not see."""
     if not staging.is_dir():
-        with tempfile.TemporaryDirectory(prefix="omnisyn-batch-") as name:
-            yield Path(name), False
+        with scratch_folder() as folder:
+            yield folder, False
         return
     attempt = temporary_name(staging)
     try:

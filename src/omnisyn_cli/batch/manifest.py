@@ -20,7 +20,15 @@ from pydantic import ValidationError
 from omnisyn_cli.batch.schema import LINE_FIELDS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
-from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES, InterpolationJob, targets
+from omnisyn_cli.interpolation.job import (
+    INPUT_FILES,
+    INPUT_LISTS,
+    OUTPUTS,
+    POSES_FROM_PICTURES,
+    InterpolationJob,
+    input_files,
+    targets,
+)
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
 from omnisyn_cli.io.encode import NUMBER
@@ -58,13 +66,15 @@ class BatchJob:
         return (int(height), int(width)) if height else None
 
     @property
-    def masks(self) -> tuple[Path, ...]:
-        """An image for every panorama, besides those of the pose file; or none."""
-        return tuple(map(Path, self.options.get("masks", ())))
+    def input_files(self) -> tuple[Path, ...]:
+        """What is read besides panoramas, their poses and what these name."""
+        return input_files(self.interpolation(Path()))
 
     def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
         """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
-        options = {**self.options, "size": self.size, "masks": self.masks}
+        options = {**self.options, "size": self.size}
+        options |= {key: Path(options[key]) for key in INPUT_FILES if key in options}
+        options |= {key: tuple(map(Path, options[key])) for key in INPUT_LISTS if key in options}
         for angle in {"nadir", "hfov", "vfov", "fov"} & options.keys():
             options[angle] = math.radians(options[angle])
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
@@ -135,8 +145,10 @@ class _Reader:
                 pose_file.of(image)
         options = line.model_dump(exclude=set(LINE_FIELDS), exclude_defaults=True)
         _check_together(options, is_found=pose_file is None)
-        if "masks" in options:
-            options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]
+        for key in options.keys() & {*INPUT_LISTS}:
+            options[key] = [str(self._file(self._folder / name, "a mask")) for name in options[key]]
+        for key in options.keys() & {*INPUT_FILES}:
+            options[key] = str(self._file(self._folder / options[key], f"a file for {key}"))
         for key in NETWORK_OPTIONS:
             if (network := options.get(key)) is not None and self._exists(self._folder / network):
                 options[key] = str(self._place(self._folder / network))

@@ -13,6 +13,7 @@ from omnisyn_cli.batch.manifest import NETWORK_OPTIONS, BatchJob
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.configs import video_config
+from omnisyn_cli.interpolation.job import INPUT_FILES, INPUT_LISTS
 from omnisyn_cli.io.outputs import relative_name
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest, sha256_of
@@ -75,9 +76,9 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     named = [name for name in networks if not _is_path(name)]
     installed = _installed() if named else {}
     options = dict(job.options)
-    if job.masks:
-        options["masks"] = [relative_name(mask, job.folder) for mask in job.masks]
-    for key in NETWORK_OPTIONS:
+    for key in options.keys() & {*INPUT_LISTS}:
+        options[key] = [relative_name(Path(file), job.folder) for file in options[key]]
+    for key in (*NETWORK_OPTIONS, *INPUT_FILES):
         if Path(network := options.get(key, "")).is_absolute():
             options[key] = relative_name(Path(network), job.folder)
     settings = {
@@ -89,7 +90,7 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     }
     companions = (file for entry in entries for file in entry.companions)
     own_networks = (Path(name) for name in networks if _is_path(name))
-    return settings, list(dict.fromkeys((*job.images, *job.masks, *companions, *own_networks)))
+    return settings, list(dict.fromkeys((*job.images, *job.input_files, *companions, *own_networks)))
 
 
 def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:

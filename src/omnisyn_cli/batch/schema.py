@@ -14,11 +14,11 @@ from typing import Annotated, Any, Literal, get_type_hints
 from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, ValidationError, create_model
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob
+from omnisyn_cli.interpolation.job import CHOICES, INPUT_FILES, INPUT_LISTS, OUTPUTS, InterpolationJob
 from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
 
 MAX_MANIFEST_BYTES = 1 << 30  # one GiB: larger files are no manifests. Set by hand.
-LIST_COLUMNS = frozenset({"inputs", "masks"})  # columns of CSV with several file names, separated by semicolons
+LIST_COLUMNS = frozenset({"inputs", *INPUT_LISTS})  # columns of CSV with several file names, separated by semicolons
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
@@ -91,7 +91,8 @@ LINE_FIELDS: dict[str, Any] = {
 MANIFEST_TYPES: Mapping[str, Any] = {
     "size": _like(r"[1-9][0-9]{0,5}x[1-9][0-9]{0,5}", "WIDTHxHEIGHT such as 2048x1024") | None,
     "encoder_preset": Name | None,
-    "masks": list[Name] | None,
+    **dict.fromkeys(INPUT_FILES, Name | None),
+    **dict.fromkeys(INPUT_LISTS, list[Name] | None),
     "nadir": Annotated[float, Field(ge=0, lt=90)] | None,
     "hfov": Annotated[float, Field(gt=0, le=360)] | None,
     "vfov": Annotated[float, Field(gt=0, le=180)] | None,

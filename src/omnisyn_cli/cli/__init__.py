@@ -35,6 +35,7 @@ COMMANDS = {
     "export": ("omnisyn_cli.cli.export", "Write panoramas and depth for other programs: GLB, PLY, COLMAP."),
     "view": ("omnisyn_cli.cli.view", "Make an interactive page to walk through in a browser."),
     "batch": ("omnisyn_cli.cli.batch", "Make all videos of a manifest, on one machine or a Ray cluster."),
+    "tag": ("omnisyn_cli.cli.tag", "Write 360° metadata into finished videos and pictures, or check it."),
     "info": ("omnisyn_cli.cli.info", "Show what the program reads in your files."),
     "train": ("omnisyn_cli.cli.train", "Train the networks on generated scenes."),
     "models": ("omnisyn_cli.cli.models", "List the bundled networks."),

@@ -103,14 +103,15 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
     from omnisyn_cli.evaluation.visualization import PICTURES_FOLDER
 
-    with working_folder(report, "eval", is_quiet=quiet) as folder:
+    with working_folder(report, is_quiet=quiet) as folder:
         command = shlex.join(["omnisyn", *sys.argv[1:]])
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, command=command, **options)
         if job.leave_out and not quiet:
             say("note: poses of tours without poses.json are estimated first: some 10 s a scene", err=True)
         plan = plan_evaluation(job)
         if not quiet:
-            for note in (_about_results(report), *(leftover_notes(report, report / PICTURES_FOLDER) if report else ())):
+            left = leftover_notes(report, pictures=report / PICTURES_FOLDER) if report else ()
+            for note in (_about_results(report), *left):
                 say(f"note: {note}", err=True)
         with counted_bar(
             "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet
@@ -243,7 +244,7 @@ def bench(
         scene_size, options["sizes"] = QUICK_SIZE, (QUICK_SIZE,)
     if store is not None:
         check_output(store, overwrite=True)
-    with working_folder(report, "bench", is_quiet=quiet) as folder:
+    with working_folder(report, is_quiet=quiet) as folder:
         if dataset is None:
             dataset = folder / f"scenes-{scene_size[1]}x{scene_size[0]}"
             make_scenes(dataset, scene_size)

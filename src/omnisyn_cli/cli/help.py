@@ -14,7 +14,7 @@ from omnisyn_cli.cli.terminal import printable
 SECTIONS: Mapping[str, str] = {
     "Input": "every path poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect "
     "upper_half hfov vfov horizon view_transform max_pixels",
-    "Output": "output frames duration fps size format views stereo codec crf encoder_preset texture lossless "
+    "Output": "output frames duration fps size format views stereo codec crf encoder_preset audio texture lossless "
     "folder serve is_opened clips stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
     "Camera": "ease heading fov look",
@@ -100,7 +100,7 @@ class PlainGroup(click.Group):
             import difflib
 
             near = difflib.get_close_matches(args[0], known, n=2, cutoff=0.5)
-            if not near and "interpolate" in known and Path(args[0]).exists():
+            if "interpolate" in known and Path(args[0]).exists():
                 near = [f"interpolate {args[0]}"]
             advice = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(known)}"
             ctx.fail(f"expected a command, got '{printable(args[0])}'; {advice}")

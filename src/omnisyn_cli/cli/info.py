@@ -1,15 +1,16 @@
 """``omnisyn info``: what the program sees in a file, before anything is done with it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from omnisyn_cli.cli.failures import EXIT_INPUT
-from omnisyn_cli.cli.options import preset_option, scale_options
+from omnisyn_cli.cli.options import preset_option, reading_options, scale_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
-from omnisyn_cli.cli.progress import shown_stages
+from omnisyn_cli.cli.progress import leftover_notes, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
 
@@ -25,11 +26,12 @@ from omnisyn_cli.cli.terminal import print_json, say
 )  # fmt: skip
 @preset_option
 @scale_options
+@reading_options
 @click.option("--overwrite", is_flag=True, help="Replace the report if it exists.")
 @click.pass_context
 def info(
     context: click.Context, /, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
-    report: Path | None, **options: Any,
+    report: Path | None, upper_half: bool, hfov: float | None, vfov: float | None, horizon: float, **options: Any,
 ) -> None:  # fmt: skip
     """Show what the program reads in panoramas, depth files, pose files and videos.
 
@@ -39,7 +41,24 @@ def info(
 
     An unusable file does not stop the others; the exit code is then 3.
     """  # noqa: D301 - click's \b is a backspace
-    descriptions = [_description(path, max_pixels, allow_outside) for path in files]
+    from omnisyn_cli.interpolation.describe import describe_file
+    from omnisyn_cli.io import MAX_PIXELS
+    from omnisyn_cli.io.placement import Reading
+
+    reading = Reading(upper_half, hfov, vfov, horizon)
+    limits: dict[str, Any] = {"max_pixels": max_pixels or MAX_PIXELS, "allow_outside": allow_outside}
+    describe = partial(describe_file, reading=reading, **limits)
+    descriptions = show_described(context, files, describe, as_json=as_json)
+    if report is not None:
+        parts = {"upper_half": upper_half, "hfov": hfov, "vfov": vfov, "horizon": horizon}
+        _report(descriptions, report, **limits, **parts, **options)
+
+
+def show_described(
+    context: click.Context, files: Iterable[Path], describe: Callable[[Path], dict[str, Any]], *, as_json: bool
+) -> list[dict[str, Any]]:
+    """Print what is said of every file; the command ends where one cannot be used."""
+    descriptions = [_description(path, describe) for path in files]
     if as_json:
         print_json(descriptions)
     else:
@@ -47,9 +66,7 @@ def info(
             _show(description)
     if not all(description["ok"] for description in descriptions):
         context.exit(EXIT_INPUT)
-    if report is not None:
-        options |= {} if max_pixels is None else {"max_pixels": max_pixels}
-        _report(descriptions, report, allow_outside=allow_outside, **options)
+    return descriptions
 
 
 def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) -> None:
@@ -66,6 +83,8 @@ def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) ->
         raise click.UsageError(f"expected one pose file with --report, got {len(named['poses'])}; name one")
     poses = (*named["poses"], POSES_FROM_PICTURES)[0]
     with shown_stages(is_quiet=False) as stages, while_timing(stages.time):
+        for note in leftover_notes(report):
+            stages.note(f"note: {note}")
         if poses == POSES_FROM_PICTURES:
             stages.show("poses")
         plan = write_pair_report(TourJob(named["panorama"], poses, report, **options))
@@ -74,13 +93,11 @@ def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) ->
     say(f"{report}: a page about {len(plan.entries)} panoramas", err=True)
 
 
-def _description(path: Path, max_pixels: int | None, allow_outside: bool) -> dict[str, Any]:
+def _description(path: Path, describe: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
     from omnisyn_cli.errors import OmnisynError
-    from omnisyn_cli.interpolation.describe import describe_file
-    from omnisyn_cli.io import MAX_PIXELS
 
     try:
-        description = describe_file(path, max_pixels=max_pixels or MAX_PIXELS, allow_outside=allow_outside)
+        description = describe(path)
     except OmnisynError as error:
         return {"file": str(path), "ok": False, "error": str(error)}
     return {"file": str(path), "ok": description.get("usable", True), **description}
@@ -98,9 +115,9 @@ def _show(description: dict[str, Any]) -> None:
 
 
 def _lines(key: str, value: Any) -> Iterator[str]:
-    """One line for a value, one for each of a list of tables."""
+    """One line for a value, one for each of a list of tables or sentences."""
     label = key.replace("_", " ")
-    if isinstance(value, list) and value and isinstance(value[0], dict):
+    if isinstance(value, list) and value and (isinstance(value[0], dict) or " " in str(value[0])):
         yield f"{label}:"
         for row in value:
             yield f"  {_text(row)}"

@@ -56,15 +56,13 @@ if TYPE_CHECKING:
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.  [default: FOLDER.mp4 or A-C.mp4, "
     "here]",
 )  # fmt: skip
-@click.option(
-    "--path", metavar="A,B[,C...]", help="Follow the links of the folder from A to B and on (docs/view.md#tours)."
-)
+@click.option("--path", metavar="A,B[,C...]", help="Follow the links of the folder from A to B.")
 @click.option(
     "--every", metavar="SECONDS", type=Seconds(0, min_open=True),
-    help="Extract panoramas from a 360° video at this interval, and estimate their poses.",
+    help="Take panoramas at this interval from a 360° video.",
 )  # fmt: skip
 @click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
-@click.option("--duration", type=FiniteRange(0, min_open=True), help="Length in seconds.  [default: 3 per pair]")
+@click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 per pair]")
 @click.option("--fps", type=FrameRate(), default=30.0, help="Frames per second, such as 25 or 30000/1001.")
 @click.option(
     "--size", type=Size(is_free=True),
@@ -77,8 +75,7 @@ if TYPE_CHECKING:
 @preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
-    help="Pick the most accurate preset, from fast to balanced, that should finish in this time, and print what more "
-    "time would gain.",
+    help="Pick the most accurate preset that should finish in this time, and print what more would gain.",
 )  # fmt: skip
 @depth_options
 @click.option(
@@ -120,8 +117,12 @@ if TYPE_CHECKING:
 @click.option("--nadir-fill", is_flag=True, help="Fill masked areas with ground in the first and last frame, too.")
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="soft",
-    help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded regions; none: a "
-    "warning; fail: exit code 3.",
+    help="For poor pairs. soft: one smooth surface, indoors; crossfade: cross-faded regions; none: a warning; fail: "
+    "exit code 3.",
+)  # fmt: skip
+@click.option(
+    "--audio", metavar="FILE", type=FilePath(),
+    help="Sound of the video, from any file with some; cut or padded to fit.",
 )  # fmt: skip
 @click.option(
     "--save-confidence", metavar="FILE", type=FilePath(), help="Save the confidence of every pixel as a video."
@@ -148,7 +149,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono",
-    help="top-bottom: both eyes for headsets, one above the other. Distances have to be in metres.",
+    help="top-bottom: both eyes for headsets. Distances have to be in metres.",
 )  # fmt: skip
 @device_option("Where networks run; auto uses a GPU if ONNX Runtime has one. All else runs on the processor.")
 @threads_option
@@ -157,7 +158,7 @@ if TYPE_CHECKING:
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option(
     "--dry-run", is_flag=True,
-    help="Check options, poses and file headers, print the plan and the expected time, and make nothing.",
+    help="Print the plan and the expected time, and make nothing.",
 )  # fmt: skip
 @json_option("the summary")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage, and mesh statistics.")

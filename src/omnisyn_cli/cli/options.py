@@ -62,7 +62,7 @@ outside_option = click.option(
 
 masks_option = click.option(
     "--mask", "masks", metavar="FILE", multiple=True, type=FilePath(),
-    help="Image that is black where a panorama must not be used. Give one per panorama, in order.",
+    help="Image, black where a panorama must not be used; one per panorama.",
 )  # fmt: skip
 
 nadir_option = click.option(
@@ -128,10 +128,7 @@ cut_options = all_of(
 )  # fmt: skip
 """Where surfaces are cut; one of them."""
 
-reading_options = all_of(
-    click.option(
-        "--upper-half", is_flag=True, help="Use the upper half of every panorama: one eye of top-bottom stereo."
-    ),
+part_options = all_of(
     click.option(
         "--hfov", metavar="DEGREES", type=DegreeRange(0, 360, min_open=True),
         help="Horizontal angle of panoramas that are only part of the sphere, unless tags give it.",
@@ -145,6 +142,14 @@ reading_options = all_of(
         help="Height of their horizon, from 0 (top) to 1 (bottom).",
     ),
 )  # fmt: skip
+"""What of the sphere parts of it show, where their tags do not say it."""
+
+reading_options = all_of(
+    click.option(
+        "--upper-half", is_flag=True, help="Use the upper half of every panorama: one eye of top-bottom stereo."
+    ),
+    part_options,
+)
 """What of the sphere pictures show, where their files do not say it."""
 
 picture_options = all_of(

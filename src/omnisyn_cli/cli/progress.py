@@ -40,13 +40,16 @@ def say_when_compiling(*, is_quiet: bool) -> AbstractContextManager[None]:
 
 
 @contextmanager
-def working_folder(report: Path | None, command: str, *, is_quiet: bool) -> Iterator[Path]:
+def working_folder(report: Path | None, *, is_quiet: bool) -> Iterator[Path]:
     """The folder of a report, else one that is gone afterwards; inside it is said when kernels are compiled."""
-    import tempfile
+    from omnisyn_cli.io.outputs import scratch_folder
 
     with ExitStack() as stack:
         stack.enter_context(say_when_compiling(is_quiet=is_quiet))
-        yield report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=f"omnisyn-{command}-")))
+        folder = report or stack.enter_context(scratch_folder())
+        for note in leftover_notes(folder) if report is None and not is_quiet else ():
+            say(f"note: {note}", err=True)
+        yield folder
 
 
 def is_watched(*, is_quiet: bool) -> bool:
@@ -230,14 +233,15 @@ def memory_limit() -> int | None:
     return min(limits, default=None)
 
 
-def leftover_notes(output: Path, pictures: Path | None = None) -> Iterator[str]:
-    """What runs that were killed have left where an output goes and anywhere in ``pictures``, and how to remove it."""
+def leftover_notes(*outputs: Path, pictures: Path | None = None) -> Iterator[str]:
+    """What runs that were killed have left where outputs go and anywhere in ``pictures``, and how to remove it."""
     import shlex
 
     from omnisyn_cli.io.outputs import abandoned
 
     deeper = sorted(pictures.glob("**/")) if pictures else []
-    found = [left for folder in (output.parent, output, *deeper) for left in abandoned(folder)]
+    folders = dict.fromkeys((*(folder for output in outputs for folder in (output.parent, output)), *deeper))
+    found = [left for folder in folders for left in abandoned(folder)]
     if found:
         names = " ".join(shlex.quote(str(path)) for path in found)
         yield f"runs that were killed have left hidden files; nothing needs them, remove them with: rm -r {names}"

@@ -37,11 +37,13 @@ def run_job(
     ``load`` imports what carries it out, which is called with the plan and what counts its ``frames``. ``expected`` is
     what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
     """
-    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
-    from omnisyn_cli.io.outputs import claimed
+    from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES
+    from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, claimed
 
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
-        for note in leftover_notes(job.output):  # before the output is refused
+        places = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
+        places += [folder for folder in (job.images[0].parent,) if folder.name.startswith(TEMPORARY_PREFIX)]
+        for note in leftover_notes(*places):  # before the output is refused
             stages.note(f"note: {note}")
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")

@@ -66,20 +66,22 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.argument("dataset", type=FOLDER)
 @click.argument("folder", type=FOLDER)
 @layout_option
-@defaulted("--pairs", "every:1", "Pairs of frames, see omnisyn eval.", metavar="0:4|every:N|FILE")
+@click.option(
+    "--pairs", metavar="0:4|every:N|FILE", help="Pairs of frames, see omnisyn eval.  [default: every:1; whole walks]"
+)
 @_height_option("view")
-def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
+def convert(dataset: Path, folder: Path, layout: str, pairs: str | None, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth files, to the pool FOLDER for `train depth`.
 
-    DATASET may also be the walks of a run of `train recipe`. Existing pairs stay. Damaged scenes and pairs without
-    depth are named and skipped.
+    DATASET may also be the walks of a run of `train recipe`, whose views are called 0, 1 and on. Existing pairs stay.
+    Damaged scenes and pairs without depth are named and skipped.
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import find_scenes
     from omnisyn_cli.evaluation.datasets.sources import choose_pairs
     from omnisyn_cli.evaluation.views import load_pair
     from omnisyn_cli.training.data import list_walks, load_walk, save_samples, walk_views
-    from omnisyn_cli.training.scene_makers import pair_path, walk_of_views
+    from omnisyn_cli.training.scene_makers import pair_of_walk, pair_path, walk_of_views, walk_source
 
     def add(path: Path, name: str, read: Callable[[Any], Any], source: Any) -> None:
         """Unless it is there."""
@@ -92,12 +94,13 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
         else:
             say(path)
 
-    if walks := list_walks(dataset):
+    walks = list_walks(dataset)
+    if walks and pairs is None:
         for walk in walks:
             add(folder / walk.name, walk.name, lambda file: walk_views(load_walk(file)), walk)
         return
-    choose = choose_pairs(pairs)
-    for source in find_scenes(dataset, layout):
+    choose = choose_pairs(pairs or "every:1")
+    for source in map(walk_source, walks) if walks else find_scenes(dataset, layout):
         try:
             chosen = choose(source.read())
         except InputError as error:
@@ -106,7 +109,8 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
         for pair in chosen:
             first, second = pair.first.name, pair.second.name
             path = pair_path(folder, pair.scene, first, second)
-            add(path, f"{pair.scene} {first} {second}", lambda pair: load_pair(pair).views, pair)
+            read = pair_of_walk if walks else (lambda pair: load_pair(pair).views)
+            add(path, f"{pair.scene} {first} {second}", read, pair)
 
 
 @click.command("evidence")

@@ -6,7 +6,6 @@ Interrupted and started again with the same folder, a run goes on where it was.
 import json
 import platform
 import signal
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
@@ -26,7 +25,7 @@ from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.interpolation.planning.figures import FIGURES, Figures, Setting
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.documents import append_line, complete_lines
-from omnisyn_cli.io.outputs import make_folder, staged_folder
+from omnisyn_cli.io.outputs import make_folder, scratch_folder, staged_folder
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.scenes import generate_scene, sample_path
 
@@ -164,8 +163,8 @@ def _measured_once(run: BenchRun, *, is_patient: bool = False) -> Figures | None
     """Figures of a process, None if it did no more than compile; whatever ends it is written down, the others go on."""
     context = spawn_context()
     ours, theirs = context.Pipe(duplex=False)
-    with tempfile.TemporaryDirectory(prefix="omnisyn-bench-", ignore_cleanup_errors=True) as folder:
-        process = context.Process(target=_serve, args=(theirs, run, Path(folder), is_patient), daemon=True)
+    with scratch_folder() as folder:
+        process = context.Process(target=_serve, args=(theirs, run, folder, is_patient), daemon=True)
         process.start()
         theirs.close()
         try:

@@ -1,6 +1,5 @@
 """The verbs of ``import omnisyn_cli`` that compare; the others are in :mod:`omnisyn_cli.interpolation.api`."""
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from jaxtyping import Float
 from omnisyn_cli.evaluation import engine
 from omnisyn_cli.evaluation.measure import frame_scores
 from omnisyn_cli.evaluation.results import UnitRecord
+from omnisyn_cli.io.outputs import scratch_folder
 
 __all__ = ["evaluate", "score"]
 
@@ -27,8 +27,8 @@ def evaluate(
         return engine.evaluate(
             engine.plan_evaluation(engine.EvaluationJob(Path(dataset), Path(report), methods, **options))
         )
-    with tempfile.TemporaryDirectory(prefix="omnisyn-eval-") as folder:
-        job = engine.EvaluationJob(Path(dataset), Path(folder), methods, **{"pictures": False, **options})
+    with scratch_folder() as folder:
+        job = engine.EvaluationJob(Path(dataset), folder, methods, **{"pictures": False, **options})
         return engine.evaluate(engine.plan_evaluation(job), has_report=False)
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation.job import OUTPUTS, InterpolationJob, TourJob
+from omnisyn_cli.interpolation.job import INPUT_FILES, INPUT_LISTS, OUTPUTS, InterpolationJob, TourJob
 from omnisyn_cli.interpolation.loading import known_depth
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
@@ -169,8 +169,8 @@ def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | 
     """
     if options.get("size") is not None and options.get("projection") != "flat":
         options["size"] = frame_size(options["size"])
-    options |= {name: Path(options[name]) for name in OUTPUTS if options.get(name) is not None}
-    options["masks"] = tuple(map(Path, options.get("masks", ())))
+    options |= {name: Path(options[name]) for name in (*OUTPUTS, *INPUT_FILES) if options.get(name) is not None}
+    options |= {name: tuple(map(Path, options[name])) for name in INPUT_LISTS if name in options}
     job = InterpolationJob(_paths(images), Path(poses), Path(output), **options)
     return run_interpolation(plan_interpolation(job))
 

@@ -6,7 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import CHOICES, OUTPUTS, InterpolationJob, TourJob, depth_files, reading_of, targets
+from omnisyn_cli.interpolation.job import (
+    CHOICES,
+    OUTPUTS,
+    InterpolationJob,
+    TourJob,
+    depth_files,
+    input_files,
+    reading_of,
+    targets,
+)
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.encode import ImageSequence, image_sequence, is_sequence
@@ -27,7 +36,7 @@ MAX_NADIR_RADIANS = math.radians(90.0)  # a cap that is no hemisphere yet
 def check_names(job: TourJob) -> None:
     """Refuse names that are no UTF-8 (InputError), which image libraries do not take, or no names (OutputPathError)."""
     outputs = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
-    for path in (*job.images, *job.masks, job.poses, *outputs):
+    for path in (*job.images, *input_files(job), job.poses, *outputs):
         name = str(path)
         if name.encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
             raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
@@ -128,6 +137,8 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         check_page(job.view, job.overwrite)
     places = (job.output, job.save_frames, job.save_confidence, job.view)
     _check_distinct(path for path in places if path is not None)
+    if job.audio is not None and is_sequence(job.output):
+        raise InputError(f"{job.output}: expected a video for --audio, got a place for images; name one such as a.mp4")
     if job.save_depth is not None:
         check_staged_folder(job.save_depth)
         for file in depth_files(job):
@@ -163,4 +174,4 @@ def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]
         if place is not None and is_sequence(place):
             outputs.extend(image_sequence(place).existing())
     companions = (file for entry in entries for file in entry.companions)
-    check_kept(outputs, (*job.images, *job.masks, job.poses, *companions))
+    check_kept(outputs, (*job.images, *input_files(job), job.poses, *companions))

@@ -13,12 +13,13 @@ from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_is_file, read_h
 from omnisyn_cli.io.depth_files import is_depth_header, read_depth
 from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.io.images import read_panorama
+from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.io.spherical import read_spherical
+from omnisyn_cli.io.tagging import BOXED_SUFFIXES
 from omnisyn_cli.poses.file import read_poses
 
-BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
 VIDEO_SUFFIXES = (*BOXED_SUFFIXES, ".mkv", ".webm", ".avi")
-"""Files of ISO boxes, which can hold spherical metadata; files that FFmpeg describes."""
+"""Files that FFmpeg describes."""
 
 PROBE_SECONDS = 60  # after which FFmpeg is given up. Set by hand.
 # What FFmpeg prints of a video stream.
@@ -30,11 +31,13 @@ VIDEO_STREAM = re.compile(
 DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
 
 
-def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False) -> dict[str, Any]:
+def describe_file(
+    path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False, reading: Reading = DEFAULT_READING
+) -> dict[str, Any]:
     """The ``kind`` of a file (``panorama``, ``depth``, ``poses`` or ``video``), by its ending and channels, and more.
 
-    Images of more than ``max_pixels`` are not decoded; with ``allow_outside`` depth and masks may lie outside of a pose
-    file's folder.
+    Images, which are read as ``reading`` says, of more than ``max_pixels`` are not decoded. With ``allow_outside``
+    depth and masks may lie outside of a pose file's folder.
 
     Raises InputError: missing, damaged, or a video without a video stream; PoseError: a pose file that cannot be used.
     """
@@ -45,10 +48,12 @@ def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outsi
     if suffix in VIDEO_SUFFIXES:
         return _describe_video(source)
     header = read_header(source)
-    return _describe_depth(source, max_pixels) if is_depth_header(header) else _describe_panorama(header, max_pixels)
+    if is_depth_header(header):
+        return _describe_depth(source, max_pixels)
+    return _describe_panorama(header, max_pixels, reading)
 
 
-def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
+def _describe_panorama(header: ImageHeader, max_pixels: int, reading: Reading) -> dict[str, Any]:
     gpano = {
         name.removeprefix("GPano:"): value if isinstance(value, int | float) else str(value)
         for name, value in header.attributes.items()
@@ -61,7 +66,7 @@ def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
         "gps": geographic_place(header),
     }  # fmt: skip
     try:
-        panorama = read_panorama(header.path, max_pixels=max_pixels)
+        panorama = read_panorama(header.path, max_pixels=max_pixels, reading=reading)
     except ImageError as error:
         return {**description, "usable": False, "problem": str(error)}
     seen = 1.0 if panorama.mask is None else float(panorama.mask.mean())

@@ -22,6 +22,8 @@ Positive = Annotated[float, Gt(0)]
 
 # Fields of a job that name what is written, as in a manifest.
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
+# Fields of a job that name a file that is read, besides panoramas and poses, and those that name several.
+INPUT_FILES, INPUT_LISTS = ("audio",), ("masks",)
 POSES_FROM_PICTURES = Path("auto")  # stands for a pose file where there is none
 # Names that fields of a job take.
 CHOICES: Mapping[str, tuple[str, ...]] = {
@@ -146,6 +148,7 @@ class InterpolationJob(TourJob):
         save_frames: folder or pattern for the frames as images besides the video; None saves none.
         adaptive: draw flat surfaces with fewer triangles; None does where there are frames enough to save time by it.
         view: page to walk through besides the video, made of the same depth; None makes none.
+        audio: file whose sound the video gets, cut or padded with silence to its length; None leaves it silent.
     """
 
     fallback: str = "soft"
@@ -170,6 +173,13 @@ class InterpolationJob(TourJob):
     save_frames: Path | None = None
     adaptive: bool | None = None
     view: Path | None = None
+    audio: Path | None = None
+
+
+def input_files(job: TourJob) -> tuple[Path, ...]:
+    """What is read besides panoramas, their poses and what these name."""
+    named = [file for name in INPUT_FILES if (file := getattr(job, name, None)) is not None]
+    return (*named, *(file for name in INPUT_LISTS for file in getattr(job, name)))
 
 
 def reading_of(job: TourJob) -> Reading:

@@ -6,7 +6,6 @@ which kernels there are. Machine code is kept on disk; who comes to a kernel lat
 
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +18,7 @@ from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.io.outputs import scratch_folder
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.render.raster_kernels import rasterize_blocks
 
@@ -45,9 +45,9 @@ def compiling_beside(threads: int | None) -> Iterator[None]:
     if is_on_disk(rasterize_blocks) or min(threads or available_threads(), available_threads()) < 2:
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="omnisyn-kernels-", ignore_cleanup_errors=True) as name:
+    with scratch_folder() as folder:
         try:
-            process = _tiny_video(Path(name))
+            process = _tiny_video(folder)
         except (OSError, OmnisynError):  # no memory or no room: this process compiles everything itself
             process = None
         try:

@@ -27,7 +27,13 @@ from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
-from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, drawn_surfaces, measure_pair, usable_image
+from omnisyn_cli.synthesis.prepared_pair import (
+    SynthesisOptions,
+    drawn_surfaces,
+    measure_pair,
+    soft_depths,
+    usable_image,
+)
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 PanoramaReader = Callable[..., Panorama]
@@ -224,7 +230,8 @@ def tour_surfaces(
             size, cut = min(view.image.shape[:2] for view in views), Cut(config.cut, config.cut_metres)
             depths, check = measure_pair(index, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
-                pair = pair_surfaces(plan, index, views, depths, check)
+                softened = soft_depths(views, depths, check) if config.fallback == "soft" else None
+                pair = pair_surfaces(plan, index, views, softened or depths, check, is_soft=softened is not None)
         refuse_doubtful(plan, index, check.confidence)
         if summary is not None:
             summary.pairs[index] = check.confidence
@@ -235,11 +242,11 @@ def tour_surfaces(
 
 
 def pair_surfaces(
-    plan: TourPlan, index: int, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
-) -> PairSurfaces:
-    """The surfaces of a pair whose depth is known; the plan's config says where they are cut, and whether softly."""
-    cut, softens = Cut(plan.config.cut, plan.config.cut_metres), plan.config.fallback == "soft"
-    views, depths, cut, is_soft = drawn_surfaces(views, depths, check, cut, softens=softens)
+    plan: TourPlan, index: int, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate],
+    check: CrossCheck, *, is_soft: bool,
+) -> PairSurfaces:  # fmt: skip
+    """The surfaces of a pair whose depth is known, soft or not; the plan's config says where others are cut."""
+    views, depths, cut = drawn_surfaces(views, depths, Cut(plan.config.cut, plan.config.cut_metres), is_soft=is_soft)
     first, second = (
         PanoramaSurface(place, view, depth, mesh_of(view, depth, depth.inverse_depth, cut))
         for place, view, depth in zip(plan.pairs[index], views, depths, strict=True)

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.interpolation.checks import check_page
-from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.job import TourJob, reading_of
 from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.summary import TourSummary
@@ -36,7 +36,8 @@ def write_pair_report(job: TourJob) -> TourPlan:
     check_page(job.output, job.overwrite)
     plan = plan_tour(job)
     poses = PoseFile(job.poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)))
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0)
+    reading = reading_of(job)
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
     pairs = [
         _described(plan, pair, diagnosis)
         for pair, diagnosis in zip(tour_surfaces(plan), check_poses(job.images, poses, options), strict=True)

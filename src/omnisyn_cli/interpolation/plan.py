@@ -21,9 +21,11 @@ from omnisyn_cli.io import read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encode import image_sequence, is_sequence
-from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.encoders import CODECS, as_fraction
+from omnisyn_cli.io.ffmpeg_process import read_soundtrack
 from omnisyn_cli.io.images import is_squeezed
 from omnisyn_cli.io.placement import placement_of
+from omnisyn_cli.io.soundtrack import Soundtrack
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
 from omnisyn_cli.poses.tour import Tour
@@ -145,6 +147,7 @@ class InterpolationPlan(TourPlan):
     size: tuple[int, int]  # (height, width) of the video, or of what one eye sees
     path: tuple[Waypoint, ...]  # a waypoint for every frame
     memory: int = 0  # bytes that the pictures and buffers will take, estimated
+    soundtrack: Soundtrack | None = None  # of the video
 
     @property
     def length(self) -> float:
@@ -179,7 +182,8 @@ class InterpolationPlan(TourPlan):
         drawn = {
             "renderer": config.renderer if is_own else config.method_strategy.renderer_label,
             "fusion": config.fusion if is_own else "",
-            "view": "" if job.view is None else str(job.view), "path_metres": round(self.length, 4),
+            "view": "" if job.view is None else str(job.view),
+            "audio": "" if self.soundtrack is None else str(self.soundtrack.path), "path_metres": round(self.length, 4),
         }  # fmt: skip
         return video, drawn, self.memory
 
@@ -195,6 +199,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     if job.refine or job.poses == POSES_FROM_PICTURES:  # that takes a while: what can be refused is refused before
         checks.check_outputs(job, job.size or LIKELY_SIZE)
         frame_count(job)
+    seconds = float(frame_count(job) / as_fraction(job.fps))
+    soundtrack = None if job.audio is None else read_soundtrack(job.audio, seconds)
     tour = plan_tour(job, video_config)
     job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
     entries, frames = tour.entries, frame_count(job)
@@ -210,10 +216,11 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     path = tuple(plan_path(poses, frames, ease=job.ease, heading=heading))
     if job.projection == "flat":
         path = look_along(path, poses[0], job.look or LOOK_AHEAD)
+    heard = () if soundtrack is None else (soundtrack.in_words(job.output),)
     return InterpolationPlan(
         job, entries, sources, config,
-        (*tour.notes, *_notes_about_video(tour, config, job, sources)),
-        tour.tour, size, path,
+        (*tour.notes, *_notes_about_video(tour, config, job, sources), *heard),
+        tour.tour, size, path, soundtrack=soundtrack,
     ).with_memory()  # fmt: skip
 
 

@@ -32,9 +32,11 @@ from omnisyn_cli.poses.floor import height_in_depth
 from omnisyn_cli.render.eyes import top_bottom
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
-from omnisyn_cli.synthesis.prepared_pair import measure_pair
+from omnisyn_cli.synthesis.prepared_pair import measure_pair, soft_depths
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator
+
+Depths = tuple[DepthEstimate, DepthEstimate]
 
 
 def _samples_of(frame: Frame, kind: str, loader: Loader, threads: int | None) -> Shaped[np.ndarray, "height width 3"]:
@@ -66,11 +68,12 @@ def _confidence_sink(plan: InterpolationPlan) -> AbstractContextManager[FrameSin
 @contextmanager
 def _frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
     """Where frames go, in the order of :func:`omnisyn_cli.interpolation.job.targets`."""
-    job = plan.job
+    job, places = plan.job, targets(plan.job)
+    places[job.output]["soundtrack"] = plan.soundtrack
     with ExitStack() as stack:
         opened = [
             open_video(place, size=plan.frame_size, threads=job.threads or 0, overwrite=job.overwrite, **encoding)
-            for place, encoding in targets(job).items()
+            for place, encoding in places.items()
         ]
         sinks = [stack.enter_context(sink) for sink in opened]
         yield [stack.enter_context(BackgroundSink(sink, frames_in_queue(plan.frame_size))) for sink in sinks]
@@ -160,7 +163,7 @@ class _PairKeeper:
         if (height := height_in_depth((first, second), pair.depths)) is not None:
             self._summary.camera_heights[index] = height
         refuse_doubtful(self._plan, index, confidence)
-        self._keep(index, pair.depths, pair.prepared.cross_check)
+        self._keep(index, pair.depths, pair.prepared.cross_check, pair.prepared.soft_depths)
         self._loader.release_floats(index)
 
     def both_eyes(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -184,10 +187,11 @@ class _PairKeeper:
         if self._depth_folder is None and self.packer is None:
             return
         for index in sorted(set(range(len(self._loader) - 1)) - self._summary.pairs.keys()):
-            tour = method.depths_of(self._loader)
-            self._keep(index, *measure_pair(index, tour, method.options, self._clock))
+            tour, views = method.depths_of(self._loader), (self._loader[index], self._loader[index + 1])
+            depths, check = measure_pair(index, tour, method.options, self._clock)
+            self._keep(index, depths, check, soft_depths(views, depths, check) if method.options.soften else None)
 
-    def _keep(self, index: int, depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck) -> None:
+    def _keep(self, index: int, depths: Depths, check: CrossCheck, softened: Depths | None = None) -> None:
         if self._depth_folder is not None:
             for k, estimate in zip((index, index + 1), depths, strict=True):
                 with np.errstate(divide="ignore"):
@@ -196,4 +200,5 @@ class _PairKeeper:
         if self.packer is not None:
             with self._clock("walk"):
                 views = self._loader[index], self._loader[index + 1]
-                self.packer.add(pair_surfaces(self._plan, index, views, depths, check))
+                is_soft = softened is not None
+                self.packer.add(pair_surfaces(self._plan, index, views, softened or depths, check, is_soft=is_soft))

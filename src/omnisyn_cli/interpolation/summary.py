@@ -117,6 +117,9 @@ class TourSummary:
         if job.poses == POSES_FROM_PICTURES:
             scales = {"--baseline": job.baseline, "--camera-height": job.camera_height}
             more = [word for option, metres in scales.items() if metres for word in (option, f"{metres:g}")]
+        angles = {"--hfov": job.hfov, "--vfov": job.vfov}
+        more += [word for option, angle in angles.items() if angle for word in (option, f"{math.degrees(angle):g}")]
+        more += ["--upper-half"] * job.upper_half
         return ["omnisyn", "info", *map(str, job.images), *more, "--report", "report.html"]
 
     def _remedies(self, pair: PairConfidence) -> Iterator[str]:

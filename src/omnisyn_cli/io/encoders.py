@@ -14,6 +14,7 @@ import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
 from omnisyn_cli.io.encode import is_ambiguous
+from omnisyn_cli.io.soundtrack import Soundtrack
 
 X26X_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
@@ -74,6 +75,7 @@ class EncoderSettings:
     preset: str | None = None
     threads: int = 0
     dtype: str = "uint8"
+    soundtrack: Soundtrack | None = None
 
 
 def check_settings(path: Path, settings: EncoderSettings) -> None:
@@ -146,7 +148,10 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     if codec.tag:
         options["tag:v"] = codec.tag
     muxer = MUXERS[path.suffix.lower()]
-    output = ffmpeg.output(converted, f"file:{path.absolute()}", format=muxer, an=None, **options)
+    sound = settings.soundtrack
+    streams = [converted] if sound is None else [converted, sound.stream()]
+    options |= {"an": None} if sound is None else sound.options(path)
+    output = ffmpeg.output(*streams, f"file:{path.absolute()}", format=muxer, **options)
     quiet = output.global_args("-hide_banner", "-nostats", "-loglevel", "error")
     command: list[str] = ffmpeg.compile(quiet, cmd=ffmpeg_program(), overwrite_output=True)
     return command

@@ -1,9 +1,9 @@
 """ffmpeg as a process of ours: frames go in or come out, its last words are heard, nothing stays behind."""
 
 import os
+import re
 import signal
 import subprocess
-import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -17,6 +17,8 @@ from jaxtyping import Shaped, UInt8
 from omnisyn_cli.errors import EncodingError, InputError, WriteError
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.outputs import scratch_folder
+from omnisyn_cli.io.soundtrack import Soundtrack
 
 MAX_STDERR_LINES = 12  # the last lines of ffmpeg that an error message quotes
 KILL_TIMEOUT_SECONDS = 10  # that ffmpeg has to end once its input is closed or it has failed
@@ -169,6 +171,29 @@ def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8
     yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)
 
 
+SOUND_STREAM = re.compile(r"Stream #0:\S+ Audio: (\w+)")  # what ffmpeg prints of a stream
+DECODED_MICROSECONDS = re.compile(r"out_time_us=(\d+)")  # and, with ``-progress``, of what it has decoded
+
+
+def read_soundtrack(path: Path, video_seconds: float) -> Soundtrack:
+    """Decode the sound of a file, for a video of a length. InputError: there is none, or it cannot be decoded."""
+    check_is_file(path)
+    command = [
+        ffmpeg_program(), "-hide_banner", "-nostdin", "-nostats", "-progress", "-", "-protocol_whitelist", "file",
+        "-i", f"file:{path.absolute()}", "-map", "0:a:0", "-f", "null", "-",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
+    said = done.stderr.decode("utf-8", "replace")
+    stream = SOUND_STREAM.search(said)
+    decoded = DECODED_MICROSECONDS.findall(done.stdout.decode("ascii", "replace"))
+    seconds = float(decoded[-1]) / 1e6 if decoded else 0.0
+    if done.returncode != 0 or stream is None or seconds <= 0.0:
+        found = said.strip().splitlines()[-1:] or ["nothing"]
+        words = f"'{found[0]:.200}' from ffmpeg" if stream or "Input #0" not in said else "a file without sound"
+        raise InputError(f"{path}: expected a file with sound for --audio, got {words}; name another")
+    return Soundtrack(path, stream[1], seconds, video_seconds)
+
+
 # Files that frames are taken from.
 VIDEO_SUFFIXES = frozenset({".360", ".avi", ".insv", ".m4v", ".mkv", ".mov", ".mp4", ".webm"})
 
@@ -180,16 +205,16 @@ def frames_of_video(path: Path, seconds: float) -> Iterator[tuple[Path, ...]]:
     Colours are taken for BT.709, as cameras for 360° write them. InputError: no video, or fewer than two frames.
     """
     check_is_file(path)
-    with tempfile.TemporaryDirectory(prefix="omnisyn-frames-") as folder:
+    with scratch_folder() as folder:
         choice = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t,{seconds:.6f}-0.5/30)'"
         command = [
             ffmpeg_program(), "-hide_banner", "-loglevel", "error", "-nostdin", "-protocol_whitelist", "file",
             "-i", f"file:{path.absolute()}", "-map", "0:v:0", "-fps_mode", "passthrough",
             "-vf", f"{choice},scale=in_color_matrix=bt709:flags=bicubic+accurate_rnd+full_chroma_int,format=rgb24",
-            "-compression_level", "1", str(Path(folder) / "frame%05d.png"),
+            "-compression_level", "1", str(folder / "frame%05d.png"),
         ]  # fmt: skip
         finished = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
-        frames = tuple(sorted(Path(folder).glob("*.png")))
+        frames = tuple(sorted(folder.glob("*.png")))
         if finished.returncode != 0 or not frames:
             lines = finished.stderr.decode("utf-8", "replace").strip().splitlines() or ["no frames"]
             raise InputError(f"{path}: expected a video, got '{lines[-1]:.200}'; export it as MP4")

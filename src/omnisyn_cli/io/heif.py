@@ -3,7 +3,6 @@
 What they say of themselves (EXIF, XMP, colours) is handed on in a PNG, so that one reader knows what it means.
 """
 
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.io.outputs import scratch_folder
 
 HEIC_SUFFIXES = frozenset({".heic", ".heif", ".hif"})  # HEIF with HEVC pictures, which a plugin reads
 AVIF_SUFFIX = ".avif"  # HEIF with AV1 pictures
@@ -24,8 +24,8 @@ def png_of(path: Path, *, with_pixels: bool) -> Iterator[tuple[Path, tuple[int, 
     Without pixels it has one pixel. ImageError: damaged, or there is no reader; then how to convert it is said.
     """
     pillow, info = _pillow(path)
-    with tempfile.TemporaryDirectory() as folder:
-        png = Path(folder) / "picture.png"
+    with scratch_folder() as folder:
+        png = folder / "picture.png"
         try:
             with warnings.catch_warnings(action="ignore"), pillow.open(path) as image:
                 width, height = image.size

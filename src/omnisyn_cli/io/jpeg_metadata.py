@@ -11,6 +11,8 @@ from xml.parsers.expat import ExpatError
 from omnisyn_cli.errors import ImageError
 
 XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"  # with which the segment of the packet begins
+# Prefix and address of Google's tags. Source: Google, "Photo Sphere XMP Metadata".
+GPANO = ("GPano", "http://ns.google.com/photos/1.0/panorama/")
 EXIF_HEADER = b"Exif\0\0"  # with which the segment of EXIF begins
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"  # namespace of RDF, which XMP is written in
 XMLNS = "http://www.w3.org/2000/xmlns/"  # namespace of declarations of namespaces

@@ -103,9 +103,8 @@ def abandoned(folder: Path) -> list[Path]:
     except OSError:
         return []
     found = ((name, TEMPORARY_NAME.fullmatch(name)) for name in names)
-    return [
-        folder / name for name, match in found if match and match[1] == MACHINE_DIGEST and _has_ended(int(match[2]))
-    ]
+    ours = (name for name, match in found if match and match[1] == MACHINE_DIGEST and _has_ended(int(match[2])))
+    return [folder / name for name in ours if os.access(folder / name, os.W_OK)]  # other users' are theirs
 
 
 def _has_ended(process: int) -> bool:
@@ -182,6 +181,17 @@ def hidden_folder(folder: Path) -> Iterator[Path]:
         raise WriteError(str(error).replace(str(temporary), str(folder))) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Give a folder among the system's temporary ones, for this user alone; it is gone afterwards, whatever happens."""
+    folder = temporary_name(Path(tempfile.gettempdir()))
+    folder.mkdir(mode=0o700)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def appears_at_once(temporary: Path, folder: Path) -> bool:

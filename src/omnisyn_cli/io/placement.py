@@ -108,6 +108,16 @@ def placement_of(header: ImageHeader, reading: Reading = DEFAULT_READING) -> Pla
     return Placement(height, width, header.top, header.left, *full)
 
 
+def area_tags(placement: Placement) -> dict[str, str]:
+    """The GPano tags that say where a picture lies on the sphere."""
+    area = {
+        "FullPanoWidthPixels": placement.full_width, "FullPanoHeightPixels": placement.full_height,
+        "CroppedAreaImageWidthPixels": placement.width, "CroppedAreaImageHeightPixels": placement.height,
+        "CroppedAreaLeftPixels": placement.left, "CroppedAreaTopPixels": placement.top,
+    }  # fmt: skip
+    return {name: str(pixels) for name, pixels in area.items()}
+
+
 def _google_placement(header: ImageHeader, height: int, width: int) -> Placement | None:
     """Placement by GPano tags, or None where they do not speak of a crop.
 

@@ -47,6 +47,7 @@ SPHERICAL_XML = (
 STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}  # values of the box ``st3d``: Spherical Video V2 RFC.
 # Boxes in ``proj``: Spherical Video V2 RFC.
 PROJECTIONS = {b"equi": "equirectangular", b"cbmp": "cubemap", b"mshp": "mesh"}
+SAMPLE_ENTRY_SIZE_AT = 24  # byte of a video sample entry where its width and height are: ISO/IEC 14496-12, 12.1.3
 COPY_BLOCK_BYTES = 4 << 20  # media data are copied in blocks of this size
 
 
@@ -59,6 +60,7 @@ class SphericalMetadata:
     projection: str | None = None  # ``equirectangular``, ``cubemap``, ``mesh``; None where nothing is said
     stereo_mode: str | None = None  # ``mono``, ``top-bottom``, ``left-right``; None where nothing is said
     software: str | None = None  # who wrote the metadata
+    size: tuple[int, int] = (0, 0)  # height and width of the video
 
 
 def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | None = "mono") -> None:
@@ -92,7 +94,8 @@ def read_spherical(path: Path | str) -> SphericalMetadata:
     """What the first video track of an MP4 or MOV file says about its projection; InputError: missing or malformed."""
     source = Path(path)
     track = _first_video_track(source, parse_movie(source, top_level_boxes(source)))
-    return SphericalMetadata(**_version_1(track) | _version_2(source, track))
+    width, height = struct.unpack_from(">HH", video_sample_entries(track)[0].head, SAMPLE_ENTRY_SIZE_AT)
+    return SphericalMetadata(size=(height, width), **_version_1(track) | _version_2(source, track))
 
 
 def video_sample_entries(track: Box) -> tuple[Box, ...]:

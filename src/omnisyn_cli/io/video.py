@@ -29,6 +29,7 @@ from omnisyn_cli.io.encode import (
 from omnisyn_cli.io.encoders import CODECS, PLANAR_FORMAT, EncoderSettings, check_settings, encoder_command, raw_format
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
 from omnisyn_cli.io.outputs import check_output, temporary_name
+from omnisyn_cli.io.soundtrack import Soundtrack
 from omnisyn_cli.io.spherical import inject_spherical
 
 # What a folder of frames can be made of.
@@ -66,6 +67,7 @@ class Encoding(TypedDict, total=False):
     threads: int  # for the encoder; 0 (default) takes all
     dtype: str  # of the frames, ``uint8`` (default) or ``uint16`` (10 bits; not for H.264). Image sequences take any.
     stereo_mode: str | None  # what players are told of a video: ``mono`` (default), ``top-bottom``; None: it is flat
+    soundtrack: Soundtrack | None  # of a video; images have none
 
 
 def check_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> None:

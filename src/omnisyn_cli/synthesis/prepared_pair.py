@@ -53,8 +53,13 @@ class PreparedPair:
     masked_fade: MaskedFade | None = None  # fades what is masked at the ends; None where nothing masked is shown
     # how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none
     triangles: tuple[int, int] | None = None
-    # whether surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`)
-    is_soft: bool = False
+    # where surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`): their depth
+    soft_depths: tuple[DepthEstimate, DepthEstimate] | None = None
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether surfaces are soft."""
+        return self.soft_depths is not None
 
 
 def measure_pair(
@@ -80,8 +85,9 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     first_view, second_view = chain.links[index]
     whole = chain.views[first_view], chain.views[second_view]
     with clock("mesh"):
-        surfaces = drawn_surfaces(whole, depths, check, options.cut, softens=options.soften)
-        (first, second), drawn_depths, cut, is_soft = surfaces
+        softened = soft_depths(whole, depths, check) if options.soften else None
+        surfaces = drawn_surfaces(whole, softened or depths, options.cut, is_soft=softened is not None)
+        (first, second), drawn_depths, cut = surfaces
         options = replace(options, cut=cut)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
@@ -98,7 +104,7 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, is_soft)
+    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, softened)
 
 
 class DrawnSurfaces(NamedTuple):
@@ -107,21 +113,20 @@ class DrawnSurfaces(NamedTuple):
     views: tuple[View, View]
     depths: tuple[DepthEstimate, DepthEstimate]
     cut: Cut
-    is_soft: bool
+
+
+def soft_depths(
+    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
+) -> tuple[DepthEstimate, DepthEstimate] | None:
+    """Depth of soft surfaces, for a pair that cannot be relied on; None for others."""
+    return soften_pair(views, depths, check) if needs_soft_surface(views, depths, check) else None
 
 
 def drawn_surfaces(
-    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck, cut: Cut, *, softens: bool
+    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, *, is_soft: bool
 ) -> DrawnSurfaces:
-    """What surfaces are made of, given the depth that was found and what the views say of each other.
-
-    They are cut by ``cut`` unless they are soft, as those become that cannot be relied on, if it ``softens``.
-    """
-    is_soft = softens and needs_soft_surface(views, depths, check)
-    if is_soft:
-        depths, cut = soften_pair(views, depths, check), UNCUT
-    views, depths = continue_ground(views, depths)
-    return DrawnSurfaces(views, depths, cut, is_soft)
+    """What surfaces are made of, given their depth; they are cut by ``cut`` unless they are soft."""
+    return DrawnSurfaces(*continue_ground(views, depths), UNCUT if is_soft else cut)
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:

@@ -18,13 +18,14 @@ from jaxtyping import Float
 
 from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.errors import InputError, OmnisynError
+from omnisyn_cli.evaluation.datasets.sources import Pair, SceneFrame, SceneSource
 from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.io import read_photographs
 from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_panorama, sample_path
 from omnisyn_cli.scenes.paths import random_rotation
-from omnisyn_cli.training.data import Walk
+from omnisyn_cli.training.data import Walk, load_walk, walk_views
 from omnisyn_cli.types import DepthEstimate, View
 
 PATH_STOPS = 9  # Positions along a path that views are drawn from; the ends are always taken
@@ -128,6 +129,21 @@ def take_photograph(
 def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
     """Where a pair of a data set lies in a pool; characters that not every system has in names become ``_``."""
     return folder / (re.sub(r"[^\w.-]+", "_", f"{scene}-{first}-{second}") + ".npz")
+
+
+def walk_source(file: Path) -> SceneSource:
+    """A walk as a scene: its views have their numbers as names, and lie in one file."""
+
+    def frames() -> list[SceneFrame]:
+        return [SceneFrame(str(k), file, view.pose) for k, view in enumerate(walk_views(load_walk(file)))]
+
+    return SceneSource(file.stem, frames)
+
+
+def pair_of_walk(pair: Pair) -> list[View]:
+    """The views of a pair of such a scene."""
+    views = walk_views(load_walk(pair.first.image))
+    return [views[int(end.name)] for end in (pair.first, pair.second)]
 
 
 def walk_of_views(views: Sequence[View], size: tuple[int, int]) -> Walk:

@@ -10,7 +10,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError, PoseError
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.configs import page_config
-from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.job import TourJob, input_files
 from omnisyn_cli.interpolation.loading import tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
@@ -106,7 +106,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
         check_empty_folder(job.output, job.overwrite)
     else:
         check_page(job.output, job.overwrite)
-    check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
+    check_kept([job.output], (*job.images, *input_files(job), job.poses), whole_folders=True)
     tour = plan_tour(job, page_config)
     linked = {view for pair in tour.pairs for view in pair}
     if alone := [image.name for k, image in enumerate(tour.job.images) if k not in linked]:

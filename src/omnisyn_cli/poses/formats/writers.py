@@ -10,8 +10,8 @@ from omnisyn_cli.geometry.pose import Pose, heading_from_rotation
 from omnisyn_cli.io import outputs
 from omnisyn_cli.io.decode import read_header
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.jpeg_metadata import with_properties
-from omnisyn_cli.io.placement import Placement, placement_of
+from omnisyn_cli.io.jpeg_metadata import GPANO, with_properties
+from omnisyn_cli.io.placement import Placement, area_tags, placement_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, write_poses
 from omnisyn_cli.poses.formats.colmap import colmap_files
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, noted
@@ -19,9 +19,6 @@ from omnisyn_cli.poses.formats.json_files import nerfstudio_text
 from omnisyn_cli.poses.formats.trajectories import tum_text
 
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
-
-# Prefix and address of Google's tags. Source: Google, "Photo Sphere XMP Metadata".
-GPANO = ("GPano", "http://ns.google.com/photos/1.0/panorama/")
 
 
 def export_poses(
@@ -102,16 +99,11 @@ def _gpano_tags(pose: Pose, placement: Placement, known: Set[str]) -> dict[str, 
     """Heading, pitch and roll of a panorama, and where it lies on the sphere unless its tags say that already."""
     heading, pitch, roll = (math.degrees(angle) for angle in heading_from_rotation(pose.rotation))
     turn = {"PoseHeadingDegrees": heading, "PosePitchDegrees": pitch, "PoseRollDegrees": roll}
-    area = {
-        "FullPanoWidthPixels": placement.full_width, "FullPanoHeightPixels": placement.full_height,
-        "CroppedAreaImageWidthPixels": placement.width, "CroppedAreaImageHeightPixels": placement.height,
-        "CroppedAreaLeftPixels": placement.left, "CroppedAreaTopPixels": placement.top,
-    }  # fmt: skip
-    is_told = not known.isdisjoint(area)
+    area = area_tags(placement)
     return {
         "UsePanoramaViewer": "True", "ProjectionType": "equirectangular",
         **{name: f"{degrees:.6f}" for name, degrees in turn.items()},
-        **{name: str(pixels) for name, pixels in area.items() if not is_told},
+        **(area if known.isdisjoint(area) else {}),
     }  # fmt: skip
 
 
