@@ -13,8 +13,8 @@ from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
-from omnisyn_cli.io.layouts import GENERAL_REMEDY, are_stacked_alike, described_shape, described_sphere, is_sphere
 from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
+from omnisyn_cli.io.projections import GENERAL_REMEDY, are_stacked_alike, described_shape, described_sphere, is_sphere
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}  # samples of white, by their type
 FLOAT_TYPES = frozenset({"float16", "float32", "float64"})  # types of decoded pictures that are taken as they are
