@@ -65,6 +65,19 @@ def test_webp_has_the_attributes_that_the_same_packet_gives_a_png(tmp_path, form
 
 
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("suffix", ["jpg", "webp"])
+def test_any_prefix_may_stand_for_the_tags(tmp_path, form, suffix):
+    path, packet = tmp_path / f"a.{suffix}", xmp_packet(CROP, form).replace(b"GPano", b"pano")
+    plain = write_with(path, smooth_image(*SIZE)).read_bytes()
+    content = b"http://ns.adobe.com/xap/1.0/\0" + packet
+    jpeg = plain[:2] + b"\xff\xe1" + (len(content) + 2).to_bytes(2, "big") + content + plain[2:]
+    path.write_bytes(jpeg if suffix == "jpg" else webp_with(plain, SIZE, xmp=packet))
+    header = read_header(path)
+    assert sphere_size(header) == (32, 64)
+    assert header.number("GPano:PoseHeadingDegrees") == 93.5
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_heading_and_place_are_imported(tmp_path, form):
     gps = {
         "GPS:Latitude": ("float[3]", (48.0, 7.0, 30.0)), "GPS:LatitudeRef": "N",

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 # ``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them.
 IMPORT_FORMATS = (
-    "auto", "exif", "table", "colmap", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind", "authors",
+    "auto", "exif", "table", "xyz", "colmap", "metashape", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind",
+    "authors",
 )  # fmt: skip
 # Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise.
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
@@ -103,7 +104,9 @@ def import_(
     \b
     exif        images with GPS and GPano tags, or their folder
     table       CSV or JSON with image, lat, lng, heading, pitch, roll
+    xyz         CSV or JSON with image, x, y, z in metres, and heading or qw, qx, qy, qz (NavVis: pano-poses.csv)
     colmap      model with EQUIRECTANGULAR or SPHERE cameras, or the rigs of panorama_sfm.py
+    metashape   cameras of spherical sensors, exported as XML
     opensfm     reconstruction.json with spherical cameras
     nerfstudio  transforms.json with EQUIRECTANGULAR cameras
     tum, kitti  trajectories

@@ -16,6 +16,9 @@ from jaxtyping import Float
 SAME_POSITION_METRES = 1e-6  # panoramas closer than this were taken from one position: no survey is so exact
 SMALL_ANGLE = 1e-8  # below this (radians) sin(x)/x is 1 in float64, as x²/6 is below its rounding error
 
+# Of the ellipsoid of WGS84: metres from its centre to the equator, and 2f − f² of its flattening f.
+SEMI_MAJOR_AXIS, ECCENTRICITY_SQUARED = 6378137.0, (2.0 - 1.0 / 298.257223563) / 298.257223563
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -159,22 +162,25 @@ def enu_from_geographic(
     Degrees and metres; earth-centred on the way, so that it holds at the poles and across the date line. Source: WGS84;
     the Navipedia article "Transformations between ECEF and ENU coordinates".
     """
-    offset = _ecef(latitude, longitude, altitude) - _ecef(*origin)
-    phi, lam = math.radians(origin[0]), math.radians(origin[1])
+    return np.asarray(enu_axes(*origin[:2]) @ (ecef_position(latitude, longitude, altitude) - ecef_position(*origin)))
+
+
+def enu_axes(latitude: float, longitude: float) -> Float[np.ndarray, "3 3"]:
+    """East, north and up at a place in degrees, as rows in earth-centred axes."""
+    phi, lam = math.radians(latitude), math.radians(longitude)
     sin_phi, cos_phi, sin_lam, cos_lam = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)
     east, north = [-sin_lam, cos_lam, 0.0], [-sin_phi * cos_lam, -sin_phi * sin_lam, cos_phi]
     up = [cos_phi * cos_lam, cos_phi * sin_lam, sin_phi]
-    return np.asarray(np.array([east, north, up]) @ offset)
+    return np.array([east, north, up])
 
 
-def _ecef(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, " 3"]:
-    semi_major, flattening = 6378137.0, 1.0 / 298.257223563
-    eccentricity_squared = flattening * (2.0 - flattening)
+def ecef_position(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, " 3"]:
+    """Earth-centred metres of a WGS84 position in degrees and metres."""
     phi, lam = math.radians(latitude), math.radians(longitude)
-    normal = semi_major / math.sqrt(1.0 - eccentricity_squared * math.sin(phi) ** 2)
+    normal = SEMI_MAJOR_AXIS / math.sqrt(1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2)
     ring = (normal + altitude) * math.cos(phi)
     return np.array(
-        [ring * math.cos(lam), ring * math.sin(lam), (normal * (1.0 - eccentricity_squared) + altitude) * math.sin(phi)]
+        [ring * math.cos(lam), ring * math.sin(lam), (normal * (1.0 - ECCENTRICITY_SQUARED) + altitude) * math.sin(phi)]
     )
 
 

@@ -22,6 +22,7 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.colour import ColourProfile, parse_profile
 from omnisyn_cli.io.heif import AVIF_SUFFIX, HEIC_SUFFIXES, damaged, png_of
+from omnisyn_cli.io.jpeg_metadata import JPEG_MAGIC, xmp_packet
 
 # Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack.
 MAX_PIXELS = 2 * 16384 * 8192
@@ -43,6 +44,8 @@ MAX_XMP_BYTES = 4 << 20  # bytes of XMP that are read; cameras and stitchers wri
 # XMP may write a property as an attribute.
 GPANO_ATTRIBUTE = re.compile(r"\s(GPano:\w+)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
 GPANO_ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")  # it may write it as an element, too
+# Any prefix may stand for the namespace of these tags.
+GPANO_PREFIX = re.compile(r"xmlns:([\w.-]+)\s*=\s*[\"']http://ns\.google\.com/photos/1\.0/panorama/[\"']")
 XMP_BOOLEANS = {"true": 1, "false": 0}  # XMP's booleans as the integers that OpenImageIO gives for other formats
 
 
@@ -256,7 +259,8 @@ def _attributes(path: Path, reader: Any) -> dict[str, Any]:
             found[attribute.name] = attribute.value
         except UnicodeDecodeError:
             continue
-    return {**found, **panorama_tags(path)} if reader.format_name() == "webp" else found
+    is_untold = reader.format_name() in ("webp", "jpeg") and not any(name.startswith("GPano:") for name in found)
+    return {**found, **panorama_tags(path)} if is_untold else found
 
 
 def _complaint(message: Callable[[], str]) -> str:
@@ -282,22 +286,27 @@ def _png_chunks(path: Path) -> Iterator[tuple[bytes, int]]:
 
 
 def panorama_tags(path: Path) -> dict[str, int | float | str]:
-    """GPano tags of a WebP file by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``; none without XMP.
+    """GPano tags of a WebP or JPEG file by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``; none without XMP.
 
-    They are found as attributes and as elements. Nothing in them is expanded but characters, so nothing in them can be
-    hostile, and a damaged file only has fewer of them.
+    OpenImageIO knows none of WebP, and of JPEG those with the usual prefix. They are found as attributes and as
+    elements. Nothing in them is expanded but characters, so nothing in them can be hostile, and a damaged file only has
+    fewer of them.
 
     Source: Google, "WebP Container Specification"; Google, "Photo Sphere XMP Metadata".
     """
     packet = _xmp(path)
+    if (declared := GPANO_PREFIX.search(packet)) and declared[1] != "GPano":
+        packet = re.sub(rf"(?<=[\s</]){re.escape(declared[1])}:", "GPano:", packet)
     attributes = {name: double or single for name, double, single in GPANO_ATTRIBUTE.findall(packet)}
     found = {**attributes, **dict(GPANO_ELEMENT.findall(packet))}
     return {name: _value(html.unescape(text).strip()) for name, text in found.items()}
 
 
 def _xmp(path: Path) -> str:
-    """The text of the chunk ``XMP `` as far as it lies in the file, else nothing."""
+    """The text of XMP in a JPEG's segment, or in the chunk ``XMP `` as far as it lies in the file, else nothing."""
     with path.open("rb") as file:
+        if file.peek()[:2] == JPEG_MAGIC:
+            return xmp_packet(path, file.read(MAX_XMP_BYTES)).decode("utf-8", "replace")
         end = 8 + int.from_bytes(file.read(12)[4:8], "little")
         for _ in range(MAX_RIFF_CHUNKS):
             head = file.read(8)

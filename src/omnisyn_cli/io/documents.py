@@ -11,6 +11,7 @@ import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Never, TypeVar
+from xml.etree.ElementTree import Element, ParseError, fromstring
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -82,6 +83,17 @@ def read_json(path: Path, what: str = "a readable file", largest: int = MAX_DOCU
         return parse_json(read_text(path, what, largest, PoseError))
     except ValueError as error:
         raise PoseError(f"{path}: {error}") from error
+
+
+def read_xml(path: Path) -> Element:
+    """The root of an XML file; PoseError: as :func:`read_text`, no XML, or declarations of entities, as in attacks."""
+    text = read_text(path)
+    try:
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
+            raise ParseError("a declaration of entities")
+        return fromstring(text)  # noqa: S314 - there are no entities in it
+    except (ParseError, ValueError) as error:
+        raise PoseError(f"{path}: expected XML, got '{error}'; correct it there, or export it anew") from error
 
 
 def parse_json(text: str) -> Any:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
@@ -13,20 +14,13 @@ from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.colour import view_transform
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import DEFAULT_READING, TRANSPOSING_ORIENTATIONS, Placement, Reading, placement_of
+from omnisyn_cli.io.projections import GENERAL_REMEDY, are_stacked_alike, described_shape, described_sphere, is_sphere
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}  # samples of white, by their type
 FLOAT_TYPES = frozenset({"float16", "float32", "float64"})  # types of decoded pictures that are taken as they are
 MIN_PANORAMA_HEIGHT = 2  # rows of the smallest panorama that a surface can be made of
 MIN_USABLE_ALPHA = 0.5  # pixels that are less opaque than this are not usable
-LAYOUT_ROWS = 128  # rows that are looked at to tell what a picture of unusual shape shows
 MIN_FRAME_WIDTH = 128  # pixels of the narrowest video frame: a pixel more or less of its height is no other shape
-# Of the halves of top-bottom stereo; the sky and the ground of one picture have next to none. Set by hand.
-MIN_STEREO_CORRELATION = 0.7
-# Of what columns 1/64 of the width apart differ by, that the first and the last column do; spheres have a third of it
-# at the most, other pictures at least twice as much.
-MAX_SEAM_STEP = 0.75
-# Of the contrast of a sphere's rows that its first or its last row has, which show one point. Set by hand.
-MAX_POLE_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -56,12 +50,20 @@ def read_panorama(
     ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or infinite
     samples.
     """
+    limits: dict[str, Any] = {"allow_aspect": allow_aspect, "max_pixels": max_pixels, "reading": reading}
+    return _read_sphere(path, is_photograph=True, **limits)
+
+
+def _read_sphere(
+    path: Path | str, *, is_photograph: bool, allow_aspect: bool, max_pixels: int, reading: Reading
+) -> Panorama:
+    """What :func:`read_panorama` says; photographs are looked at, whether they show a sphere."""
     header, samples = decode_image(path, max_pixels=max_pixels)
     size = sphere_size(header, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
-    picture = upright(samples, header.orientation)
-    colour, alpha = colour_and_alpha(header, picture[: len(picture) // 2] if reading.upper_half else picture)
+    colour, alpha = _upright_colour(header, samples, reading)
     placement = placement_of(header, reading)
-    _check_layout(header.path, colour, placement, allow_aspect=allow_aspect)
+    if is_photograph and placement.is_whole:
+        _check_content(header.path, colour, placement, allow_aspect=allow_aspect)
     if reading.size is not None and reading.size < size:
         size = reading.size
         colour, alpha, placement = _reduced(header, colour, alpha, placement, size)
@@ -88,7 +90,11 @@ def sphere_size(
     if width == 2 * height:
         return height, width
     if not (allow_aspect or is_squeezed(placement) or reading.is_partial):
-        raise _aspect_error(header.path, width, height)
+        found = GENERAL_REMEDY
+        if placement.is_whole:  # it is looked at, as it is refused anyway
+            colour, _ = _upright_colour(header, decode_image(header.path, max_pixels=max_pixels)[1], reading)
+            found = described_shape(colour, INTEGER_PEAKS.get(str(colour.dtype), 1))
+        raise _shape_error(header.path, width, height, found)
     return width // 2, width // 2 * 2
 
 
@@ -98,39 +104,25 @@ def is_squeezed(placement: Placement) -> bool:
     return placement.is_whole and is_wide
 
 
-def _aspect_error(path: Path, width: int, height: int) -> ImageError:
-    if width == height:
-        remedy = "use the upper half of top-bottom stereo (--upper-half), or allow other aspect ratios (--allow-aspect)"
-    else:
-        remedy = (
-            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere, "
-            "or say what it covers (--hfov)"
-        )
+def _shape_error(path: Path, width: int, height: int, found: str) -> ImageError:
     return ImageError(
-        f"{path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; {remedy}"
+        f"{path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}{found}"
     )
 
 
-def _check_layout(path: Path, colour: np.ndarray, placement: Placement, *, allow_aspect: bool) -> None:
-    """Refuse (ImageError) squares whose halves show the same, and pictures of 16:9 that are no squeezed sphere."""
+def _check_content(path: Path, colour: np.ndarray, placement: Placement, *, allow_aspect: bool) -> None:
+    """Refuse (ImageError) squares whose halves show the same, and what is no sphere unless its shape is allowed."""
     height, width = colour.shape[:2]
-    step = max(1, height // LAYOUT_ROWS)
-    if placement.is_whole and allow_aspect and width == height:
-        halves = [half[::step, ::step].astype(np.float64).ravel() for half in np.split(colour[: height // 2 * 2], 2)]
-        centred = [half - half.mean() for half in halves]
-        alike = float(centred[0] @ centred[1]) / (float(np.prod([np.linalg.norm(half) for half in centred])) or 1.0)
-        if alike > MIN_STEREO_CORRELATION:
+    if allow_aspect:
+        if width == height and are_stacked_alike(colour):
             raise ImageError(
                 f"{path}: expected one picture of the sphere, got two that are alike, one above the other: this looks "
                 "like top-bottom stereo; use the upper half (--upper-half)"
             )
-    if is_squeezed(placement) and not allow_aspect:
-        rows = colour[::step].astype(np.float64)
-        across_seam = np.abs(rows[:, 0] - rows[:, -1]).mean()
-        beside = np.abs(np.diff(rows[:, :: max(1, width // 64)], axis=1)).mean()
-        poles = min(row.std(axis=0).mean() for row in (rows[0], colour[-1].astype(np.float64)))
-        if across_seam > MAX_SEAM_STEP * beside or poles > MAX_POLE_SHARE * rows.std(axis=1).mean():
-            raise _aspect_error(path, width, height)
+    elif is_squeezed(placement) and not is_sphere(colour):
+        raise _shape_error(path, width, height, GENERAL_REMEDY)
+    elif width == 2 * height and (found := described_sphere(colour, INTEGER_PEAKS.get(str(colour.dtype), 1))):
+        raise ImageError(f"{path}: expected an equirectangular panorama, got {found}")
 
 
 def _reduced(
@@ -160,7 +152,9 @@ def read_mask(
 
     Arguments and errors are those of :func:`read_panorama`.
     """
-    panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading)
+    panorama = _read_sphere(
+        path, is_photograph=False, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading
+    )
     bright = panorama.image[..., 0] >= 0.5
     return bright if panorama.mask is None else bright & panorama.mask
 
@@ -256,6 +250,12 @@ def _panorama(header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None,
         original=np.ascontiguousarray(colour) if is_integer else None,
         path=header.path,
     )
+
+
+def _upright_colour(header: ImageHeader, samples: np.ndarray, reading: Reading) -> tuple[np.ndarray, np.ndarray | None]:
+    """Colour and alpha of what is wanted of a picture, turned upright."""
+    picture = upright(samples, header.orientation)
+    return colour_and_alpha(header, picture[: len(picture) // 2] if reading.upper_half else picture)
 
 
 def colour_and_alpha(header: ImageHeader, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:

@@ -25,6 +25,7 @@ NEW_PACKET = (
 PACKET_BEGIN = b'<?xpacket begin="\xef\xbb\xbf" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
 PACKET_END = b'<?xpacket end="w"?>'  # the trailer; the packet may be changed in place
 START_OF_IMAGE, APP0, APP1, START_OF_SCAN = 0xD8, 0xE0, 0xE1, 0xDA  # second bytes of markers, after 0xFF
+JPEG_MAGIC = bytes([0xFF, START_OF_IMAGE])  # the first bytes of every JPEG
 MAX_SEGMENT_BYTES = 65533  # of the content of a segment: its length is a number of 16 bits and counts itself
 
 
@@ -54,9 +55,18 @@ def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values:
     return data[: first[0]] + segment + data[first[1] :]
 
 
+def xmp_packet(path: Path, data: bytes) -> bytes:
+    """The first packet of a JPEG that begins with these bytes; nothing where there is none, or the file is damaged."""
+    try:
+        packets = (data[begin + 4 : end] for marker, begin, end in _segments(path, data) if marker == APP1)
+        return next((each[len(XMP_HEADER) :] for each in packets if each.startswith(XMP_HEADER)), b"")
+    except ImageError:
+        return b""
+
+
 def _segments(path: Path, data: bytes) -> Iterator[tuple[int, int, int]]:
     """Marker, begin and end of every segment before the picture's own data."""
-    if data[:2] != bytes([0xFF, START_OF_IMAGE]):
+    if data[:2] != JPEG_MAGIC:
         raise ImageError(f"{path}: expected a JPEG, got another format; convert it, or leave it out")
     begin = 2
     while begin + 4 <= len(data) and data[begin] == 0xFF:

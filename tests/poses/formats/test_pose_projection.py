@@ -15,12 +15,14 @@ from foreign_samples import (
     imported,
     opencv_pixel,
     our_pixel,
+    refuse,
     row,
     samples,
     world_to_camera,
     write_images,
     write_json,
     write_text,
+    y_down,
     z_up,
 )
 
@@ -43,6 +45,123 @@ def test_colmap(tmp_path):
     result = imported(tmp_path, expected="colmap")
     assert [view.name for view in result.views] == [f"pano {name}" for name in NAMES]
     check_views(result, world_to_camera(COUNT))
+
+
+def test_pycolmap_sees_points_of_panoramas_where_we_do(tmp_path):
+    """COLMAP's own projection, and its binary of the same model."""
+    pycolmap = pytest.importorskip("pycolmap", minversion="4.2")
+    poses = [(axis_angle(turn)[1], translation) for turn, translation, _ in samples(COUNT)]
+    lines = [f"{index + 1} {row(q, t)} 1 {NAMES[index]}\n" for index, (q, t) in enumerate(poses)]
+    write_text(tmp_path / "text" / "images.txt", *lines)
+    write_text(tmp_path / "text" / "cameras.txt", "1 EQUIRECTANGULAR 1024 512 1024 512")
+    write_text(tmp_path / "text" / "points3D.txt", "")
+    model = pycolmap.Reconstruction(tmp_path / "text")
+    (tmp_path / "binary").mkdir()
+    model.write_binary(tmp_path / "binary")
+    for kind in ("text", "binary"):
+        views = {view.name: view for view in imported(tmp_path / kind, expected="colmap").views}
+        for image, (_, _, point) in zip(model.images.values(), samples(COUNT), strict=True):
+            col, at = image.project_point(point) - 0.5
+            np.testing.assert_allclose(our_pixel(views[image.name].pose, y_down(point)), (at, col), atol=PIXELS)
+
+
+def matrix_text(turn: np.ndarray, place: np.ndarray) -> str:
+    return row(np.c_[turn, place], [0, 0, 0, 1])
+
+
+def metashape_text(chunk_poses: list[str], transform: str, reference: str, sensor: str = "spherical") -> str:
+    cameras = "".join(
+        f'<camera id="{index}" sensor_id="0" component_id="0" label="{name}"><transform>{matrix}</transform></camera>'
+        for index, (name, matrix) in enumerate(zip(NAMES, chunk_poses, strict=False))
+    )
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><document version="2.0.0"><chunk><sensors>'
+        f'<sensor id="0" type="{sensor}"/><sensor id="1" type="frame"/></sensors><components>'
+        f'<component id="0">{transform}</component></components><cameras>{cameras}'
+        f'<group><camera id="8" sensor_id="1" label="flat.jpg"/></group><camera id="9" sensor_id="0" label="loose"/>'
+        f"</cameras><reference>{reference}</reference></chunk></document>"
+    )
+
+
+def similarity(turn: np.ndarray, place: np.ndarray, scale: float) -> str:
+    parts = {"rotation": row(turn), "translation": row(place), "scale": repr(scale)}
+    inside = "".join(f'<{name} locked="false">{text}</{name}>' for name, text in parts.items())
+    return f"<transform>{inside}</transform>"
+
+
+@pytest.mark.parametrize("reference", ['LOCAL_CS["Local Coordinates (m)"]', 'GEOGCS["WGS 84"]', ""])
+def test_metashape(tmp_path, reference):
+    """The manual's spherical camera in a chunk that a similarity takes to z up, to the earth, or that has none."""
+    turn, scale = axis_angle((0.3, -0.2, 1.1))[0], 2.5
+    place, to_local = np.array([1.0, 2.0, 3.0]), np.eye(3)
+    if reference.startswith("GEOGCS"):  # above 90° east on the equator, where north is +z and east is −x
+        place, to_local = np.array([0.0, 6378137.0 + 100.0, 0.0]), np.array([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    transform = similarity(turn, place, scale) if reference else ""
+    text = metashape_text([matrix_text(*pose) for pose in camera_to_world(COUNT)], transform, reference)
+    origin = {"origin": (0.0, 90.0, 100.0)} if reference.startswith("GEOGCS") else {}
+    result = imported(write_text(tmp_path / "cameras.xml", text), expected="metashape", **origin)
+    assert [view.name for view in result.views] == NAMES
+    for view, (rotation, shift), (_, _, point) in zip(
+        result.views, world_to_camera(COUNT), samples(COUNT), strict=True
+    ):
+        seen = opencv_pixel(rotation @ point + shift)
+        if reference:
+            world = to_local @ (scale * turn @ point + place - (place if origin else 0))
+            np.testing.assert_allclose(our_pixel(view.pose, z_up(world)), seen, atol=1e3 * PIXELS)
+    notes = " ".join(result.notes)
+    assert "left out: 'flat.jpg', 'loose'" in notes
+    assert ("has no scale" in notes) == (not reference)
+    if not reference:
+        ups = np.mean([view.pose.rotation[:, 1] for view in result.views], axis=0)
+        np.testing.assert_allclose(ups / np.linalg.norm(ups), [0, 1, 0], atol=1e-9)
+
+
+def test_what_metashape_wrote_of_other_cameras_is_refused(tmp_path):
+    for text, message in {
+        metashape_text(["1 2 3"], "", ""): r"camera '00.png': expected 16 numbers",
+        metashape_text([], "", "", "frame"): "aligned cameras of a spherical sensor, got sensors 'frame', 'frame'",
+        metashape_text([], "", ""): "got 1 that are not aligned",
+        metashape_text([matrix_text(np.eye(3), np.zeros(3))], similarity(np.eye(3), np.zeros(3), 0.0), ""): "above 0",
+        "<html/>": "XML without a chunk",
+        "<chunk": "expected XML, got 'unclosed token",
+        '<!DOCTYPE a [<!ENTITY b "c">]><chunk/>': "a declaration of entities",
+    }.items():
+        refuse(message, write_text(tmp_path / "a.xml", text))
+
+
+@pytest.mark.parametrize("header", ["# pano poses v1.0: ID; filename; timestamp; {}", "id;image;time;{}"])
+def test_quaternions_in_metres(tmp_path, header):
+    """NavVis: x forward, y left, z up, in a world with z up."""
+    axes = [f"pano_pos_{axis}" for axis in "xyz"] + [f"pano_ori_{part}" for part in "wxyz"]
+    lines = [
+        f"{index}; {NAMES[index]}; 1e9; {row(place, axis_angle(turn)[1]).replace(' ', '; ')}"
+        for index, (turn, place, _) in enumerate(samples(COUNT))
+    ]
+    source = write_text(tmp_path / "pano-poses.csv", header.format("; ".join(axes)), *lines)
+    write_images(tmp_path, NAMES[:1])
+    result = imported(source, expected="xyz")
+    assert result.views[0].image == tmp_path / NAMES[0]
+    for view, (turn, place, point) in zip(result.views, samples(COUNT), strict=True):
+        ahead, left, up = axis_angle(turn)[0].T @ (point - place)
+        np.testing.assert_allclose(our_pixel(view.pose, z_up(point)), opencv_pixel((-left, -up, ahead)), atol=PIXELS)
+    assert any("--camera-axes says otherwise" in note for note in result.notes)
+
+
+def test_headings_in_metres(tmp_path):
+    """Coordinates of a country; the camera looks east, a point north-east of it and as high is 45° to the left."""
+    rows = [{"name": name, "X": 691000 + 5 * k, "Y": 5334000, "Z": 520, "heading": 90} for k, name in enumerate("ab")]
+    result = imported(write_json(tmp_path / "a.json", rows), expected="xyz")
+    np.testing.assert_allclose(result.views[1].pose.position, [5, 0, 0], atol=1e-9)
+    height, width = SIZE
+    seen = our_pixel(result.views[1].pose, z_up(np.array([5.0 + 3.0, 3.0, 0.0])))
+    np.testing.assert_allclose(seen, (height / 2 - 0.5, (0.5 - 45 / 360) * width - 0.5), atol=PIXELS)
+    assert any("counted from the first panorama" in note for note in result.notes)
+    for text, message in {
+        "image,x,y,z\na,1,2,3": r"a\.csv:2: expected a quaternion \(qw, qx, qy, qz\) or a heading",
+        "image,x,y,z,heading\na,1,,3,5": r"a\.csv:2: expected numbers \(y\)",
+        "image,x,y,z,qw,qx,qy,qz\na,1,2,3,1,1,0,0": "unit quaternion",
+    }.items():
+        refuse(message, write_text(tmp_path / "a.csv", text))
 
 
 def faces_of_panorama_sfm(pitches: tuple[float, ...]) -> list[np.ndarray]:

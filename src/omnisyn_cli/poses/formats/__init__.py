@@ -10,17 +10,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import Pose, rotation_taking
-from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.io.documents import read_json
 from omnisyn_cli.poses.formats.colmap import read_colmap
 from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
-from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, ImportedPoses, ImportOptions, data_lines, entries, images_in
+from omnisyn_cli.poses.formats.files import (
+    CAMERAS_UP,
+    IMAGE_SUFFIXES,
+    ImportedPoses,
+    ImportOptions,
+    data_lines,
+    entries,
+    images_in,
+    levelled,
+)
 from omnisyn_cli.poses.formats.json_files import ZIND_FILE_NAME, read_nerfstudio, read_opensfm, read_zind
-from omnisyn_cli.poses.formats.known_places import read_exif, read_table
+from omnisyn_cli.poses.formats.known_places import read_exif
+from omnisyn_cli.poses.formats.metashape import read_metashape
+from omnisyn_cli.poses.formats.tables import is_metric, read_table, read_xyz
 from omnisyn_cli.poses.formats.trajectories import (
     ROTATIONS,
     habitat_folders,
@@ -29,9 +36,6 @@ from omnisyn_cli.poses.formats.trajectories import (
     read_kitti,
     read_tum,
 )
-
-# Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it.
-MIN_MEAN_UP_LENGTH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class Format:
 FORMATS: Mapping[str, Format] = {
     "exif": Format(read_exif, is_on_earth=True, is_level=True, is_of_many=True),
     "table": Format(read_table, is_on_earth=True, is_level=True),
+    "xyz": Format(read_xyz),
+    "metashape": Format(read_metashape, is_on_earth=True),
     "colmap": Format(read_colmap, IMAGES),
     "zind": Format(read_zind, ZIND_FILE_NAME, "merger", is_level=True),
     "opensfm": Format(read_opensfm, "reconstruction.json", "shots", is_on_earth=True),
@@ -63,7 +69,7 @@ FORMATS: Mapping[str, Format] = {
 
 IMPORT_FORMATS = tuple(FORMATS)
 
-FORMAT_BY_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors"}
+FORMAT_BY_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors", ".xml": "metashape"}
 
 
 def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptions) -> tuple[str, ImportedPoses]:
@@ -84,20 +90,10 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
     if options.up != "cameras":
         return chosen, form.read(source, options)
     imported = form.read(source, replace(options, up=None))
-    turned = _levelled([view.pose for view in imported.views])
+    turned = levelled([view.pose for view in imported.views])
     views = tuple(replace(view, pose=pose) for view, pose in zip(imported.views, turned, strict=True))
     kept = tuple(note for note in imported.notes if not note.startswith("world:"))
-    return chosen, ImportedPoses(views, (*kept, "world: up is the mean of the cameras' own"))
-
-
-def _levelled(poses: Sequence[Pose]) -> list[Pose]:
-    """The same poses in a world whose y axis is the mean of the cameras' own: level where cameras were held level."""
-    mean_up = np.mean([pose.rotation[:, 1] for pose in poses], axis=0)
-    length = float(np.linalg.norm(mean_up))
-    if length < MIN_MEAN_UP_LENGTH:
-        raise PoseError("expected cameras held roughly upright, got directions that cancel out; choose --up by axis")
-    turn = Pose(rotation_taking(mean_up / length, UP), np.zeros(3))
-    return [turn @ pose for pose in poses]
+    return chosen, ImportedPoses(views, (*kept, CAMERAS_UP))
 
 
 def detected_format(sources: Sequence[Path]) -> str:
@@ -120,7 +116,7 @@ def _check_options(chosen: str, sources: Sequence[Path], options: ImportOptions)
         "--origin": options.origin is not None and not form.is_on_earth,
         "--up": options.up is not None and form.is_level,
         "--camera-axes": options.camera is not None and form.is_level,
-        "--roll": options.roll is not None and chosen not in ("exif", "table"),
+        "--roll": options.roll is not None and chosen not in ("exif", "table", "xyz"),
         "--floor": options.floor is not None and chosen != "zind",
     }
     for option, is_unfit in unfit.items():
@@ -153,7 +149,8 @@ def _of_file(path: Path) -> str:
     if suffix == ".json":
         return _of_json(path)
     if suffix in FORMAT_BY_SUFFIX:
-        return FORMAT_BY_SUFFIX[suffix]
+        by_suffix = FORMAT_BY_SUFFIX[suffix]
+        return "xyz" if by_suffix == "table" and is_metric(path) else by_suffix
     _, line = next(data_lines(path), (0, ""))
     if not line:
         raise _unknown(path, "an empty file")
@@ -170,7 +167,9 @@ def _of_json(path: Path) -> str:
         raise _unknown(path, f"JSON with {type(first).__name__}")
     if {"version", "panoramas"} <= set(first):
         raise PoseError(f"{path}: expected poses of another program, got a pose file of this one; use it as it is")
-    return next((name for name, form in FORMATS.items() if form.key in first), "table")
+    if found := next((name for name, form in FORMATS.items() if form.key in first), None):
+        return found
+    return "xyz" if is_metric(path) else "table"
 
 
 def _unknown(path: Path, found: str) -> PoseError:

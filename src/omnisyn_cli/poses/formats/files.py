@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_taking
+from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.file import stored_file
 
@@ -37,6 +38,10 @@ WORLD_UP = {
     "z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "-z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
+
+# Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it.
+MIN_MEAN_UP_LENGTH = 1e-3
+CAMERAS_UP = "world: up is the mean of the cameras' own"  # the note about :func:`levelled`
 
 Origin = tuple[float, float, float]
 """WGS84 latitude and longitude in degrees, altitude in metres."""
@@ -91,6 +96,16 @@ def foreign_from_pose(pose: Pose, *, camera: str, up: str) -> Pose:
     """A camera-to-world pose in other axes: the inverse of :meth:`ImportOptions.pose`."""
     world_from_ours = WORLD_UP[up].T
     return Pose(world_from_ours @ pose.rotation @ CAMERA_AXES[camera].T, world_from_ours @ pose.position)
+
+
+def levelled(poses: Sequence[Pose]) -> list[Pose]:
+    """The same poses in a world whose y axis is the mean of the cameras' own: level where cameras were held level."""
+    mean_up = np.mean([pose.rotation[:, 1] for pose in poses], axis=0)
+    length = float(np.linalg.norm(mean_up))
+    if length < MIN_MEAN_UP_LENGTH:
+        raise PoseError("expected cameras held roughly upright, got directions that cancel out; choose --up by axis")
+    turn = Pose(rotation_taking(mean_up / length, UP), np.zeros(3))
+    return [turn @ pose for pose in poses]
 
 
 IMAGE_SUFFIXES = frozenset(

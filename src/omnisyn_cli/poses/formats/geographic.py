@@ -19,7 +19,16 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import ImageError, PoseError
-from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, enu_from_geographic, rotation_from_heading
+from omnisyn_cli.geometry.pose import (
+    ECCENTRICITY_SQUARED,
+    SAME_POSITION_METRES,
+    SEMI_MAJOR_AXIS,
+    Pose,
+    ecef_position,
+    enu_axes,
+    enu_from_geographic,
+    rotation_from_heading,
+)
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, ImportOptions, Origin
 
@@ -70,7 +79,7 @@ def imported_places(
     first = next(iter(places.values()))
     origin = options.origin or (first.latitude, first.longitude, first.altitude or 0.0)
     worlds = {name: local_world((p.latitude, p.longitude, p.altitude or 0.0), origin) for name, p in places.items()}
-    held = {name: worlds[name].rotation @ _rotation(place, options) for name, place in places.items()}
+    held = {name: worlds[name].rotation @ rotation_at(place, options) for name, place in places.items()}
     rotations = {name: held[name] for name, place in places.items() if place.heading is not None}
     if len(rotations) < len(places):
         positions = {name: world.position for name, world in worlds.items()}
@@ -86,7 +95,7 @@ def imported_places(
     return ImportedPoses(tuple(views), (origin_note(origin), *flat, *notes))
 
 
-def _rotation(place: Place, options: ImportOptions) -> Float[np.ndarray, "3 3"]:
+def rotation_at(place: Place, options: ImportOptions) -> Float[np.ndarray, "3 3"]:
     """World-from-camera at the place itself; as if it looked north where nobody knows."""
     roll = -place.roll if options.roll == "clockwise" else place.roll
     return rotation_from_heading(*(math.radians(angle) for angle in (place.heading or 0.0, place.pitch, roll)))
@@ -98,6 +107,23 @@ def local_world(place: Origin, origin: Origin) -> Pose:
     up = _plumb(latitude, longitude, origin)
     north = _plumb(latitude + 90.0, longitude, origin)  # upwards a quarter of the meridian further, pole or not
     return Pose(np.stack([np.cross(north, up), up, -north], axis=-1), _position(*place, origin))
+
+
+def geographic_from_ecef(position: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    """Latitude and longitude in degrees and altitude in metres: the inverse of :func:`ecef_position` near the earth."""
+    x, y, z = position.tolist()
+    ring, phi = math.hypot(x, y), math.atan2(z, math.hypot(x, y))
+    for _ in range(8):  # each takes the error to a 150th of what it was
+        normal = SEMI_MAJOR_AXIS / math.sqrt(1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2)
+        phi = math.atan2(z + ECCENTRICITY_SQUARED * normal * math.sin(phi), ring)
+    altitude = ring * math.cos(phi) + z * math.sin(phi) - SEMI_MAJOR_AXIS**2 / normal
+    return math.degrees(phi), math.degrees(math.atan2(y, x)), altitude
+
+
+def enu_from_ecef(origin: Origin) -> Pose:
+    """From earth-centred axes to the local ones of an origin: x east, y north, z up."""
+    axes = enu_axes(*origin[:2])
+    return Pose(axes, -axes @ ecef_position(*origin))
 
 
 def origin_note(origin: Origin) -> str:
