@@ -18,8 +18,6 @@ TRUE_DEPTH = RunConfig(DepthSource("file"))
 
 @dataclass(frozen=True)
 class Judged:
-    """A pair's confidence, and the truth about it."""
-
     name: str
     score: float  # of its frames
     expected: float  # WS-PSNR in dB that it expects of them

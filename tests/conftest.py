@@ -15,8 +15,7 @@ install_import_hook("omnisyn_cli.geometry", "typechecker.check").__enter__()
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")  # what takes long on a busy machine is not wrong
 
-MOST_WORKERS = 4
-"""Each of them holds up to 3 GiB."""
+MOST_WORKERS = 4  # Each of them holds up to 3 GiB.
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

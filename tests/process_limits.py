@@ -19,12 +19,7 @@ def peak_memory() -> int:
 
 
 def memory_taken(call: Callable[..., Any], *arguments: Any) -> int:
-    """Bytes by which a call raises the peak of a process that has done nothing else: no other test hides them.
-
-    Args:
-        call: of a module that the other process can import, as are its arguments' types.
-        arguments: of the call.
-    """
+    """Bytes by which a call raises the peak of a new process, which can import it: no other test hides them."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         return process.submit(_rise_of_peak, call, *arguments).result()
 

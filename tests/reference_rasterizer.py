@@ -11,10 +11,7 @@ from omnisyn_cli.render.rasterize import NO_FACE, Fragments
 def rasterize_reference(
     triangles: Triangles, target_from_source: Pose, size: tuple[int, int], rays: np.ndarray | None = None
 ) -> Fragments:
-    """The same contract as :func:`omnisyn_cli.render.rasterize.rasterize`, in float64, along any rays.
-
-    Time and memory grow with ``pixels × triangles``; meant for images of some dozen rows.
-    """
+    """:func:`omnisyn_cli.render.rasterize.rasterize` in float64, along any rays, for images of some dozen rows."""
     rays = (pixel_directions(*size) if rays is None else rays).reshape(-1, 3)
     nearest, face = np.full(len(rays), -1.0), np.full(len(rays), NO_FACE, np.int32)
     for number, directions, inverse_depth in zip(

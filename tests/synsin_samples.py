@@ -14,11 +14,7 @@ TINY_SIZE = (32, 64)
 
 @dataclass
 class HallNetworks:
-    """Stands in for :class:`omnisyn_cli.baselines.synsin.SynSinSessions`: true depth, plain colours.
-
-    The hall's pattern says where a panorama was taken no better than a photograph does, so positions are told, in the
-    order in which panoramas are looked at.
-    """
+    """SynSin's sessions with true depth and plain colours; positions are told, in the order of the panoramas."""
 
     positions: list[np.ndarray]
     size: tuple[int, int] = (64, 128)

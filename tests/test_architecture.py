@@ -11,41 +11,34 @@ import omnisyn_cli
 
 ROOT = Path(omnisyn_cli.__file__).parent
 
+# From the top to the bottom; what is in one set does not know each other.
 LAYERS = (
     {"__main__"}, {"cli"}, {"training"}, {"evaluation"}, {"batch"}, {"interpolation"}, {"pipeline"}, {"baselines"},
     {"synthesis"}, {"poses"}, {"io", "networks", "runtime", "scenes", "stereo", "render", "fusion"}, {"types"},
     {"geometry"}, {"compute"}, {"errors"},
 )  # fmt: skip
-"""From the top to the bottom; what is in one set does not know each other."""
-
-MOST_ENTRIES = 24
-"""In the package itself: more rooms than that and nobody finds the right one."""
-
+MOST_ENTRIES = 24  # In the package itself: more rooms than that and nobody finds the right one.
+# Modules that may import torch at their top.
 TORCH = (
     "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation",
     "omnisyn_cli.render.rasterize_torch", "omnisyn_cli.baselines.soft_points_torch",
 )  # fmt: skip
-"""Modules that may import torch at their top."""
-
 ONNX = ("omnisyn_cli.runtime", "omnisyn_cli.networks", "omnisyn_cli.training")
 
+# The only ones that open files: io, machine code, models, answers that are kept, checkpoints, records of a batch.
 FILE_MODULES = (
     "omnisyn_cli.io", "omnisyn_cli.compute.kernel_files", "omnisyn_cli.poses.file", "omnisyn_cli.poses.formats",
     "omnisyn_cli.poses.entries", "omnisyn_cli.poses.tour_file", "omnisyn_cli.runtime.models",
     "omnisyn_cli.runtime.monocular_session", "omnisyn_cli.training", "omnisyn_cli.evaluation",
     "omnisyn_cli.interpolation.planning", "omnisyn_cli.batch",
 )  # fmt: skip
-"""The only ones that open files: io, machine code, models, answers that are kept, checkpoints, records of a batch."""
-
+# Parts of the standard library that a command may import at its top.
 LIGHT = {
     "atexit", "collections", "contextlib", "dataclasses", "errno", "functools", "gc", "importlib", "io", "itertools",
     "json", "math", "os", "pathlib", "shutil", "signal", "sys", "threading", "time", "types", "typing",
 }  # fmt: skip
-"""Parts of the standard library that a command may import at its top."""
-
+# The room that a command may import at its top: the names that users choose from. It imports the rest when asked.
 LIGHT_ROOM = "pipeline"
-"""The room that a command may import at its top: the names that users choose from. It imports the rest when asked."""
-
 FILE_CALLS = {
     "open", "read_text", "read_bytes", "write_text", "write_bytes", "imread", "imwrite", "fromfile", "tofile", "savez",
     "unlink", "rmtree", "mkdir", "rmdir", "touch",
@@ -54,8 +47,6 @@ FILE_CALLS = {
 
 @dataclass(frozen=True)
 class Module:
-    """A module of the package: its dotted name and its syntax tree."""
-
     name: str
     tree: ast.Module
 
@@ -125,7 +116,6 @@ every_module = pytest.mark.parametrize("module", MODULES.values(), ids=MODULES)
 
 
 def rank(name: str) -> int:
-    """The layer of a module's room."""
     return next(level for level, rooms in enumerate(LAYERS) if name.split(".")[1] in rooms)
 
 

@@ -21,7 +21,6 @@ from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, pose
 
 
 def run(job: InterpolationJob) -> list[np.ndarray]:
-    """The samples of all frames that a job writes into its folder."""
     run_interpolation(plan_interpolation(job))
     return [samples_of(file) for file in sorted(job.output.iterdir())]
 

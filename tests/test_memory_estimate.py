@@ -20,7 +20,6 @@ from process_limits import STATUS
 from synthesis_samples import as_bytes, hall_image, posed, write_hall
 
 where_the_peak_is_told = pytest.mark.skipif(not STATUS.exists(), reason="nobody tells the peak of memory there")
-
 MEASURED = """
 import sys
 from pathlib import Path
@@ -47,7 +46,6 @@ def peak_of(command: list[str]) -> int:
 
 
 def peak_of_interpolation(job: InterpolationJob, chosen: dict[str, str]) -> int:
-    """Bytes that a job takes, with the options chosen for it."""
     options = ["--poses", job.poses, "-o", job.output, "--frames", job.frames, "-q", "--overwrite"]
     options += [] if job.size is None else ["--size", f"{job.size[1]}x{job.size[0]}"]
     options += [word for name, value in chosen.items() for word in (f"--{name}", value)]

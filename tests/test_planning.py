@@ -191,8 +191,7 @@ def test_linear_light_is_shown_unless_frames_keep_it(tmp_path: Path) -> None:
     assert (pictures["png"] - light[0])[light[0] < 0.5].mean() > 0.1
 
 
-SMALL_PLAYERS = {"h264": 16, "h265": 24}
-"""Rows that players show, for pictures of these tests."""
+SMALL_PLAYERS = {"h264": 16, "h265": 24}  # Rows that players show, for pictures of these tests.
 
 
 @pytest.mark.parametrize(

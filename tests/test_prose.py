@@ -13,7 +13,6 @@ from statistics import mean
 import pytest
 
 ROOT = Path(__file__).parents[1]
-
 PAGES = [
     ROOT / "README.md",
     ROOT / "CHANGELOG.md",
@@ -21,32 +20,20 @@ PAGES = [
     *sorted((ROOT / "models").glob("*.md")),
 ]
 
-MAX_MEAN_WORDS = 18
-"""Of the sentences of a page."""
-
-MAX_WORDS = 40
-"""Of a sentence."""
-
+MAX_MEAN_WORDS = 18  # Of the sentences of a page.
+MAX_WORDS = 40  # Of a sentence.
 MAX_README_WORDS = 1300
-
-
 FENCE = re.compile(r"^ *```.*?^ *```[^\n]*$", re.M | re.S)
 COMMENT = re.compile(r"<!--.*?-->", re.S)
 IMAGE = re.compile(r"!\[[^\]]*\]\([^)]*\)")
 LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 CODE = re.compile(r"`[^`]*`")
 
+# Rows of tables, headings, quoted lines (output, formulas) and targets of links.
 LEFT_OUT = re.compile(r"^ *(\||#|>|\[[^\]]+\]:)")
-"""Rows of tables, headings, quoted lines (output, formulas) and targets of links."""
-
 ITEM = re.compile(r"^ *([-*+]|\d+[.)]) +")
-
-FORMULA = re.compile(r"^ {4,}\S")
-"""Only after an empty line outside of a list: otherwise it goes on with an item."""
-
-LEAD = re.compile(r"^\*\*[^*]+[.:]\*\* +")
-"""A heading in the line of its paragraph."""
-
+FORMULA = re.compile(r"^ {4,}\S")  # Only after an empty line outside of a list: otherwise it goes on with an item.
+LEAD = re.compile(r"^\*\*[^*]+[.:]\*\* +")  # A heading in the line of its paragraph.
 END = re.compile(r"(?<=[.!?])[\"”»)*_]* +(?=[\"“«(*_\[]*[A-Z0-9`δ±≈])")
 ABBREVIATION = re.compile(r"\b(e\.g|i\.e|etc|vs|al|approx|Fig|Sec|No)\.$")
 

@@ -35,9 +35,7 @@ from synthesis_samples import SIZE, hall_image, hall_view, posed, write_hall, ws
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 DOCUMENTS = [ROOT / "CONTRIBUTING.md", README, *sorted(ROOT.glob("[a-z]*/*.md"))]
-
-WITHOUT_MORE = {"--help", "--list-methods"}
-"""Options that print something and end the command."""
+WITHOUT_MORE = {"--help", "--list-methods"}  # Options that print something and end the command.
 
 
 def commands(document: Path) -> list[list[str]]:

@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOT_FILES = {".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"}
 
+# Folders at the root, and the endings of files in them.
 KINDS = {
     ".ci": {""},
     "docs": {".md", ".png"},
@@ -17,16 +18,10 @@ KINDS = {
     "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
     "tests": {".json", ".py"},
 }
-"""Folders at the root, and the endings of files in them."""
-
-MOST = 32 << 10
-"""Bytes of a file whose ending says nothing else: a text that somebody reads."""
-
+MOST = 32 << 10  # Bytes of a file whose ending says nothing else: a text that somebody reads.
+# Bytes by ending.
 MOST_OF = {".html": 3 << 20, ".jpg": 768 << 10, ".png": 96 << 10, ".json": 24 << 10, ".onnx": 12 << 20}
-"""Bytes by ending."""
-
-MOST_TOGETHER = 40 << 20
-"""Bytes of all of them."""
+MOST_TOGETHER = 40 << 20  # Bytes of all of them.
 
 
 def committed() -> dict[PurePosixPath, int]:

@@ -15,10 +15,8 @@ from pathlib import Path
 import omnisyn_cli
 
 ROOT = Path(omnisyn_cli.__file__).parent
-
-LEARNED = "fusion networks runtime training"
-"""Rooms where a plane would be a channel of an array."""
-
+LEARNED = "fusion networks runtime training"  # Rooms where a plane would be a channel of an array.
+# Words that this code once used for itself: the field's term, and the rooms where the word means that (none: all).
 PRIVATE_WORDS = {
     "agreed": ("consistent", "stereo fusion networks runtime training types"),
     "among": ("detect", "fusion"),
@@ -103,8 +101,7 @@ PRIVATE_WORDS = {
     "witnesses": ("source-view samplers", ""),
     "workshop": ("staging folder", ""),
 }
-"""Words that this code once used for itself: the field's term, and the rooms where the word means that (none: all)."""
-
+# Whole names, whose words are fine in others.
 PRIVATE_NAMES = {
     "Bands": "DisparityRange",
     "Recent": "LRU cache",
@@ -113,8 +110,7 @@ PRIVATE_NAMES = {
     "Turned": "local frame",
     "Views": "LayerPair",
 }
-"""Whole names, whose words are fine in others."""
-
+# Names in which a private word has its common meaning.
 COMMON_NAMES = {
     "BrokenProcessPool", "ProcessPoolExecutor", "ThreadPoolExecutor",  # of the standard library
     "avg_pool2d", "max_pool", "max_pool2d",
@@ -124,8 +120,7 @@ COMMON_NAMES = {
     "run_bands",
     "take_along_axis",
 }  # fmt: skip
-"""Names in which a private word has its common meaning."""
-
+# Adjectives, adverbs, numbers and prepositions that cannot name a constant by themselves.
 NOT_NOUNS = {
     "ABOVE", "ABSURD", "ACROSS", "AHEAD", "ALL", "ALMOST", "ALONE", "ALONG", "ALWAYS", "ANY", "APART", "AROUND",
     "ASIDE", "AT", "BEHIND", "BELOW", "BESIDE", "BEST", "BETWEEN", "BEYOND", "BIG", "BLIND", "BRIGHT", "BY", "CERTAIN",
@@ -142,30 +137,23 @@ NOT_NOUNS = {
     "TINY", "TO", "TOGETHER", "TOO", "TRUE", "TWICE", "UNDER", "UNKNOWN", "UNLIKE", "UNSEEN", "UPRIGHT", "USUAL",
     "VAGUE", "WEAK", "WHOLE", "WIDE", "WITH", "WITHIN", "WITHOUT", "WORSE", "WORST",
 }  # fmt: skip
-"""Adjectives, adverbs, numbers and prepositions that cannot name a constant by themselves."""
-
+# What :data:`NOT_A_NOUN` mistakes for something else.
 NOUNS = {
     "CUBED", "EMBED", "FORWARD", "MANIFEST", "RED", "SEED", "SPEED", "CHEST", "REQUEST", "TEST", "TABLE", "VARIABLE",
 }  # fmt: skip
-"""What :data:`NOT_A_NOUN` mistakes for something else."""
-
+# Endings of participles, superlatives and other adjectives.
 NOT_A_NOUN = re.compile(r"\w+(ED|EST|ABLE|IBLE|LESS|FUL|OUS|WARD)")
-"""Endings of participles, superlatives and other adjectives."""
-
+# Forms that say what happens, not what a value is; others, such as MATCHING, name a method.
 GERUNDS = {"COMPILING", "CORRECTING", "DIFFERING", "DOUBTING", "FINDING", "HALVING", "PASSING", "SPREADING", "WAITING"}
-"""Forms that say what happens, not what a value is; others, such as MATCHING, name a method."""
-
-BOUND = re.compile(r"_?(LEAST|MOST|GREATEST)(_|$)")
-"""What has to be called MIN or MAX."""
-
+BOUND = re.compile(r"_?(LEAST|MOST|GREATEST)(_|$)")  # What has to be called MIN or MAX.
 MAX_SHARED_FILE_NAMES = 8
 MIN_EXPLAINED_SHARE = 0.97
 MAX_PARAMETERS = 8
 
+# Decorators of compiled functions, whose parameters have no types.
 KERNELS = {
     "compiled_kernel", "fast_kernel", "fast_subkernel", "inlined", "inlined_contracting", "kernel", "njit", "subkernel",
 }  # fmt: skip
-"""Decorators of compiled functions, whose parameters have no types."""
 
 
 @cache
@@ -214,7 +202,6 @@ def private_names() -> Iterator[str]:
 
 
 def constants(path: Path) -> Iterator[tuple[ast.stmt, str]]:
-    """The constants of a module and where each is assigned."""
     for node in tree_of(path).body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
@@ -274,7 +261,6 @@ def shared_file_names() -> list[str]:
 
 
 def decorator_of(node: ast.expr) -> str:
-    """The last name of a decorator, called or not."""
     function = node.func if isinstance(node, ast.Call) else node
     return function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
 

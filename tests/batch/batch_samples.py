@@ -1,7 +1,5 @@
 """Work for workers to do, workers that do it in this process, and a small batch to give them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -9,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -24,13 +22,11 @@ SIZE = (16, 32)
 
 
 class InlineExecutor:
-    """One worker, that works in this process."""
-
     def __init__(self, work: Work) -> None:
         self._worker = Worker(work)
         self._reports: list[Report] = []
 
-    def __enter__(self) -> InlineExecutor:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

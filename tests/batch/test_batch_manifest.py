@@ -43,10 +43,7 @@ def test_a_scene_is_its_first_and_last_panorama_unless_inputs_say_otherwise(tmp_
 
 
 def test_every_option_of_interpolate_is_one_of_a_line():
-    """But for those of a run, a video as input, and a budget, with which the result would depend on the machine.
-
-    ``--view`` is two keys of a line: a page, and a projection. ``--path`` is what ``inputs`` of a line say.
-    """
+    """But for those of a run, a video, and a budget; ``--view`` is two keys of a line, ``--path`` its ``inputs``."""
     of_the_run = {"images", "threads", "overwrite", "dry_run", "as_json", "verbose", "quiet", "budget", "help_all"}
     of_a_line = {option.name for option in interpolate.params} - of_the_run - {"every", "views", "path"}
     assert of_a_line | {"view", "projection"} <= set(Line.model_fields)

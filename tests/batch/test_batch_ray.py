@@ -1,7 +1,5 @@
 """The same batch on Ray: two nodes on this machine, one of them killed midway, and the same bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -20,7 +18,6 @@ from omnisyn_cli.errors import InputError
 
 pytest.importorskip("ray", reason="Ray is not installed (omnisyn-cli[ray])")
 pytestmark = pytest.mark.filterwarnings("ignore")
-
 SECONDS = 240
 
 
@@ -67,10 +64,7 @@ def workers(folder: Path) -> set[str]:
 
 
 def test_a_node_that_dies_midway_takes_nothing_with_it(tmp_path, cluster):
-    """The other node's worker does what the lost one had begun, without waiting for a node to replace it.
-
-    No worker imports what lies in the folder in which the command was called.
-    """
+    """The other node does what the lost one had begun, and no worker imports from the folder of the caller."""
     (tmp_path / "numpy.py").write_text("raise ImportError('from the current directory')")
     write_row(tmp_path, 4, size=(64, 128))
     pairs = [(a, b) for a in range(4) for b in range(4) if a != b]

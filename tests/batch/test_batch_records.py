@@ -55,9 +55,5 @@ def test_a_file_of_something_else_is_left_alone(tmp_path, content):
 @pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")
 def test_a_full_disk_is_said_of_the_records_also_when_they_are_closed(tmp_path):
     path = tmp_path / "r.jsonl"
-    with (
-        file_size_limit(4),
-        pytest.raises(WriteError, match=r"r\.jsonl: expected to write"),
-        Records(path) as records,
-    ):
+    with file_size_limit(4), pytest.raises(WriteError, match=r"r\.jsonl: expected to write"), Records(path) as records:
         records.append({"id": "a"})

@@ -114,10 +114,7 @@ def test_records_tell_nothing_about_the_machine(tmp_path):
 
 
 def test_shared_panoramas_are_decoded_and_their_depth_found_once(tmp_path, monkeypatch):
-    """Four panoramas, three pairs, both ways: four pictures decoded, three pairs matched, the bytes of six jobs.
-
-    The estimator gives the first of a pair another depth than the second, so that asking the other way round shows.
-    """
+    """Six jobs of four pictures, three pairs; the first of a pair has another depth, so that the wrong order shows."""
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     write_row(tmp_path, 4)
     both = [pair for k in range(3) for pair in ((k, k + 1), (k + 1, k))]
@@ -179,11 +176,7 @@ def test_only_what_changed_is_done_again(tmp_path, change):
     assert len(list((tmp_path / "out" / "1-2").iterdir())) == 3
 
 
-NETWORKS = {
-    "completion-balanced": "completion",
-    "depth-guided": "guided-depth",
-    "fusion-residual": "fusion",
-}
+NETWORKS = {"completion-balanced": "completion", "depth-guided": "guided-depth", "fusion-residual": "fusion"}
 
 
 def install(folder: Path, **contents: str) -> None:

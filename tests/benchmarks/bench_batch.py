@@ -7,8 +7,6 @@ With ``--kills 3`` the manifest is done a last time while workers are killed at 
 after which it is started again (Linux).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -30,8 +28,7 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
-STOPS = 5
-"""Panoramas of a scene; each pair is two neighbours among them."""
+STOPS = 5  # Panoramas of a scene; each pair is two neighbours among them.
 
 
 def make_manifest(folder: Path, pairs: int, height: int, frames: int, options: Mapping[str, Any]) -> Path:
@@ -57,14 +54,12 @@ def make_manifest(folder: Path, pairs: int, height: int, frames: int, options: M
 
 
 def command(manifest: Path, output: Path, workers: int) -> list[str]:
-    """The batch as a user starts it."""
     words = [sys.executable, "-m", "omnisyn_cli", "batch", manifest, "-o", output, "-q",
              "--workers", workers, "--threads", 1]  # fmt: skip
     return [str(word) for word in words]
 
 
 def run(manifest: Path, output: Path, workers: int) -> float:
-    """Wall seconds of the command."""
     begin = time.perf_counter()
     subprocess.run(command(manifest, output, workers), check=True)
     return time.perf_counter() - begin
@@ -78,7 +73,6 @@ def recorded(output: Path) -> list[str]:
 
 
 def workers_of(pid: int) -> list[int]:
-    """Processes that do the jobs of a running command."""
     tasks = Path(f"/proc/{pid}/task").iterdir()
     children = [int(child) for task in tasks for child in (task / "children").read_text().split()]
     return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
@@ -111,7 +105,6 @@ def run_killing(
 
 
 def stages(output: Path) -> tuple[Counter[str], int, int]:
-    """Seconds by stage, frames and jobs of a batch."""
     seconds: Counter[str] = Counter()
     frames = jobs = 0
     for line in (output / "results.jsonl").read_text().splitlines():

@@ -7,8 +7,6 @@ true decibels of every pair and the time a check takes. Then follow Spearman's r
 error of ``expected``, the calibration error of depth's confidence, and the highest score of bad pairs.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator
@@ -70,7 +68,6 @@ def of_generated() -> Iterator[Judged]:
 
 
 def main() -> None:
-    """Print the table and what it says together."""
     found = list[Judged]()
     print(f"{'':32}{'score':>8}{'expected':>10}{'true dB':>10}{'calibration':>13}")
     folders = [Path(argument) for argument in sys.argv[1:]]

@@ -4,8 +4,6 @@ The road is a plane 1.6 m below the camera. Looked at is the road up to 3 m arou
 frame of 1024×512, from points of one panorama of this size, and from those of two, one on either side.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.baselines.points import PointRenderer
@@ -14,8 +12,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import RendererInputs
 
+# Of frames in pixels, of the camera in metres, and of the road around the camera in metres.
 SIZE, CAMERA_HEIGHT, REACH = (512, 1024), 1.6, 3.0
-"""Of frames in pixels, of the camera in metres, and of the road around the camera in metres."""
 
 
 def main() -> None:

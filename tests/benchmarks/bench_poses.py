@@ -6,8 +6,6 @@ tuning, the odd ones judge. Prints errors and time of every pair, and a table of
 within twice the stated deviation.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -32,7 +30,6 @@ FOUND, WRONG = (1.0, 3.0), 5.0  # degrees: of rotation and direction of a pair t
 
 
 def drawn_poses(kind: str, seed: int, photos: Photos) -> tuple[object, list[Pose]]:
-    """A scene and two cameras in it."""
     scene, rng = generate_scene(kind, seed, photos), np.random.default_rng([7, seed])
     while True:
         length = math.exp(rng.uniform(math.log(0.5), math.log(8.0)))
@@ -87,7 +84,6 @@ def judged(folder: Path) -> tuple[float, ...] | None:
 
 
 def main() -> None:
-    """Make what is not there yet, and judge it."""
     folder, photos = Path(sys.argv[1]), None
     names = []
     for k in range(PAIRS):

@@ -7,12 +7,11 @@ way from the panorama to the target. Times are the thread's own (what it compute
 rounds counts. Only the ratios mean anything on a machine that does other work as well.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -29,8 +28,7 @@ from omnisyn_cli.render.texture import make_texture
 
 MESH, TARGETS = (512, 1024), ((1024, 2048), (2048, 4096))
 POSE = Pose(np.eye(3), np.array([0.0, 0.0, 1.5]))
-FARTHEST = 1e6
-"""Metres; Embree knows no infinity."""
+FARTHEST = 1e6  # Metres; Embree knows no infinity.
 
 
 def synthetic() -> np.ndarray:
@@ -67,30 +65,19 @@ def embree(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     return lambda: scene.run(origins, rays)
 
 
-def photograph(size: tuple[int, int]) -> np.ndarray:
-    """As many samples of 8 bits as a photograph of that size has."""
-    return np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
-
-
-def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
-    """Rasterises and shades one view."""
-    texture = make_texture(photograph(size))
-    rasterizer, shader, surface_confidence = (
-        Rasterizer(size, threads=1),
-        Shader(size, threads=1),
-        make_confidence_map(mesh, texture),
-    )
-    return lambda: shader(rasterizer(mesh.blocks, POSE), surface_confidence, texture, POSE)
+def renderer(mesh: Mesh, size: tuple[int, int], blocks: Any) -> Callable[[], object]:
+    """Rasterises blocks of quads and shades one view with as many samples of 8 bits as a photograph of the size has."""
+    texture = make_texture(np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8))
+    rasterizer, shader = Rasterizer(size, threads=1), Shader(size, threads=1)
+    surface_confidence = make_confidence_map(mesh, texture)
+    return lambda: shader(rasterizer(blocks, POSE), surface_confidence, texture, POSE)
 
 
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
-    texture = make_texture(photograph(size))
     quads, kept = simplify(mesh, -POSE.position, size[0], threads=1)
-    surface_confidence = make_confidence_map(mesh, texture)
     print(f"{size[1]}×{size[0]}  {kept} of {mesh.face_count()} triangles kept")
-    rasterizer, shader = Rasterizer(size, threads=1), Shader(size, threads=1)
-    return lambda: shader(rasterizer(quads, POSE), surface_confidence, texture, POSE)
+    return renderer(mesh, size, quads)
 
 
 def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
@@ -106,7 +93,6 @@ def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[s
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("depth", type=Path, nargs="?", help="an EXR with depths in metres")
     parser.add_argument("--rounds", type=int, default=7)
@@ -118,7 +104,7 @@ def main() -> None:
     for size in TARGETS:
         contestants = {
             "embree, rays only": embree(mesh, size),
-            "mesh": renderer(mesh, size),
+            "mesh": renderer(mesh, size, mesh.blocks),
             "adaptive": adaptive(mesh, size),
         }
         best = best_of(contestants, options.rounds)

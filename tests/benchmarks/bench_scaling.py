@@ -7,13 +7,9 @@ says about it. Then the time that a frame takes on one and on two threads, both 
 does it, and that of arithmetic without memory, in turn, on the clock: no program scales better than the second.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -22,6 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from bench_clip import STREET, interpolate
 
 from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.compute.threads import run_ranges
@@ -31,45 +28,15 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 
 WIDTHS = (1024, 2048, 4096, 8192)
-FEW = 4
-"""Frames; two of them are the photographs."""
-
+FEW = 4  # Frames; two of them are the photographs.
+# By so many pixels the second clip of a size is longer: frames of the smallest size are few milliseconds each.
 MORE_PIXELS = 2**27
-"""By so many pixels the second clip of a size is longer: frames of the smallest size are few milliseconds each."""
-
-LEAST_MORE = 12
-"""Frames by which it is longer at least."""
-
-ROOTS = 100_000
-"""Numbers summed for each of the thousand rows of arithmetic."""
-
-STREET = Path(__file__).resolve().parents[2] / "examples" / "street"
-
-MEASURED = """
-import resource, sys
-from pathlib import Path
-from omnisyn_cli.cli import main
-try:
-    main(sys.argv[1:])
-finally:
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-    print(sum(u.ru_utime + u.ru_stime for u in used), int(peak.split()[1]) * 1024, file=sys.stderr)
-"""
+LEAST_MORE = 12  # Frames by which it is longer at least.
+ROOTS = 100_000  # Numbers summed for each of the thousand rows of arithmetic.
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What clips of one size take.
-
-    Attributes:
-        width: of the frames.
-        seconds: of computing, each frame.
-        memory: bytes at the peak, with few and with more frames.
-        more: how many those are.
-        planned: bytes that the plan expects.
-    """
-
     width: int
     seconds: float
     memory: tuple[int, int]
@@ -81,22 +48,13 @@ class Scale:
         return self.width * self.width / 2e6
 
 
-def clip(inputs: Sequence[Path], width: int, frames: int, *options: str) -> tuple[float, int, str]:
+def clip(inputs: list[Path], width: int, frames: int, *options: str) -> tuple[float, int, str]:
     """Computing seconds, peak memory and what was printed."""
     with tempfile.TemporaryDirectory() as folder:
-        first, second, poses = inputs
-        command = [sys.executable, "-c", MEASURED, "interpolate", first, second, "--poses", poses]
-        settings = ["-o", Path(folder) / "clip.mp4", "--size", f"{width}x{width // 2}", "--frames", frames, "--json"]
-        done = subprocess.run(
-            list(map(str, [*command, *settings, "--encoder-preset", "veryfast", *options])),
-            check=True, capture_output=True, text=True,
-        )  # fmt: skip
-    seconds, memory = done.stderr.split()[-2:]
-    return float(seconds), int(memory), done.stdout
+        return interpolate(inputs, Path(folder) / "clip.mp4", (width // 2, width), frames, *options)
 
 
-def scale_of(inputs: Sequence[Path], width: int) -> Scale:
-    """Measure one size."""
+def scale_of(inputs: list[Path], width: int) -> Scale:
     longer = max(LEAST_MORE, MORE_PIXELS // (width * width // 2))
     few, more = (clip(inputs, width, frames) for frames in (FEW, FEW + longer))
     plan = json.loads(clip(inputs, width, FEW, "--dry-run")[2])
@@ -170,17 +128,15 @@ def plot(scales: Sequence[Scale], path: Path) -> None:
 
 
 def main() -> None:
-    """Print the table and draw the plot."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("inputs", type=Path, nargs="*", help="two panoramas and their poses")
+    parser.add_argument("inputs", type=Path, nargs="*", default=STREET, help="two panoramas and their poses")
     parser.add_argument("--widths", type=int, nargs="*", default=WIDTHS)
     parser.add_argument("--plot", type=Path, help="write the diagram, such as docs/scaling.png")
     options = parser.parse_args()
-    inputs = options.inputs or [STREET / name for name in ("first.jpg", "second.jpg", "poses.json")]
     print(f"{'size':>12}{'s/frame':>10}{'s/Mpixel':>10}{'GB, few':>9}{'frames':>8}{'GB, more':>10}{'planned':>9}")
     scales = []
     for width in options.widths:
-        scale = scale_of(inputs, width)
+        scale = scale_of(options.inputs, width)
         scales.append(scale)
         few, more, planned = (value / 1e9 for value in (*scale.memory, scale.planned))
         name, per_pixel = f"{width}x{width // 2}", scale.seconds / scale.megapixels
@@ -189,9 +145,7 @@ def main() -> None:
     if options.plot is not None:
         plot(scales, options.plot)
     frame, arithmetic = speed_up()
-    print(
-        f"a frame of 4096x2048 on two threads: {frame:.2f} times as fast as on one; arithmetic: {arithmetic:.2f} times"
-    )
+    print(f"a frame of 4096x2048 on two threads: {frame:.2f} times as fast as on one; arithmetic: {arithmetic:.2f}")
 
 
 if __name__ == "__main__":

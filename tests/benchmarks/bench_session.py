@@ -7,8 +7,6 @@ waiting threads included), all variants in turn, the best of the rounds counts; 
 the mean absolute difference of inverse depth × baseline, against ONNX Runtime's default.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time
@@ -29,7 +27,6 @@ from omnisyn_cli.stereo.stereo_features import completion_channels
 
 ROWS = 512
 ROUNDS = 5
-
 Run = Callable[[list[np.ndarray]], list[np.ndarray]]
 
 
@@ -41,8 +38,6 @@ def inputs(seed: int) -> list[np.ndarray]:
 
 
 class Pairs(CalibrationDataReader):
-    """Inputs for calibration, one after the other."""
-
     def __init__(self, given: list[np.ndarray]) -> None:
         self._left = list(given)
 
@@ -114,7 +109,6 @@ def measured(run: Run, given: list[np.ndarray]) -> tuple[float, float, list[np.n
 
 
 def main() -> None:
-    """Print the table."""
     rounds = int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS
     given = inputs(101)
     with tempfile.TemporaryDirectory() as folder:

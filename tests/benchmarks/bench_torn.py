@@ -6,8 +6,6 @@ between the first and the last panorama of a folder with a pose file, for every 
 The cross-fade of both photographs says how much of it is mere overlay. Between 72 degrees above and below the horizon.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from pathlib import Path
@@ -20,11 +18,10 @@ from omnisyn_cli.geometry.sphere import pixel_to_direction
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
 
+# Columns at which features are found; how far away the same may be; greatest distance of square-root descriptors.
 WIDTH, MAX_ANGLE, MAX_DISTANCE = 1024, np.radians(30.0), 0.55
-"""Columns at which features are found; how far away the same may be; greatest distance of square-root descriptors."""
-
+# At most so many per picture, and the least contrast of SIFT: low, so that soft frames have enough.
 FEATURES, MIN_CONTRAST = 4000, 0.02
-"""At most so many per picture, and the least contrast of SIFT: low, so that soft frames have enough."""
 
 
 def features(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +50,6 @@ def torn_share(frame: np.ndarray, photographs: list[np.ndarray]) -> float:
 
 
 def main() -> None:
-    """Print a line for every folder."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--poses", default="poses.json", help="name of the pose file")

@@ -6,8 +6,6 @@ until the first picture, of three openings, and megabytes: of graphics memory as
 resident ones of the browser's processes. The renderer's grow by the answers that a browser keeps for whoever drives it.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -31,7 +29,6 @@ SIZE, DEPTH_SIZE, STEP_METRES = (2048, 4096), (512, 1024), 2.0
 PICTURE = Path(__file__).parents[2] / "examples" / "street" / "first.jpg"
 SIDE = 10
 NO_CACHE = ("--disk-cache-size=1",)  # files that browsers keep are not memory of the walk
-
 MEMORY = "[omnisyn.page.graphicsBytes, performance.memory.usedJSHeapSize].map((bytes) => Math.round(bytes / 1e6))"
 
 

@@ -5,8 +5,6 @@ depth; a browser captures six faces of the page at the place of the middle one. 
 the middle panorama: of a page by rules alone, of the page, then of a video by these rules, with edges, and as usual.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from dataclasses import replace
@@ -28,8 +26,8 @@ from viewer.browser import SOFTWARE_GL, Launch, WalkPage, launcher
 
 SIZE = (512, 1024)
 NAMES = ("0000.png", "0001.png", "0002.png")
+# Changes of the config.
 STEPS = {"rules": {"fusion": "geometric", "edges": False}, "edges": {"fusion": "geometric"}, "video": {}}
-"""Changes of the config."""
 
 
 def made(folder: Path, preset: str) -> dict[str, np.ndarray]:

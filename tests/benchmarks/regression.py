@@ -4,8 +4,6 @@ The table holds the mean WS-PSNR of the true frames of two small scenes of the s
 ``test_regression.py`` measures them again and fails where one has dropped.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile
@@ -18,22 +16,14 @@ from omnisyn_cli.evaluation.scene_files import write_suite_scene
 from omnisyn_cli.scenes.paths import suite_scenes
 
 TABLE = Path(__file__).with_name("regression.json")
-
 SCENES = ("street-9000001-2m", "room-9000001-1m")
-
 SIZE = (256, 512)
-
 METHODS = ("omnisyn-balanced", "oracle-depth", "crossfade")
-
-TOLERANCE = 0.3
-"""dB that a figure may drop by."""
-
-Scores = dict[str, dict[str, float]]
-"""WS-PSNR in dB by scene and method."""
+TOLERANCE = 0.3  # dB that a figure may drop by.
+Scores = dict[str, dict[str, float]]  # WS-PSNR in dB by scene and method.
 
 
 def write_scenes(folder: Path) -> None:
-    """The scenes of :data:`SCENES`."""
     for walk in suite_scenes():
         if walk.name in SCENES:
             (folder / walk.name).mkdir(parents=True)
@@ -63,7 +53,6 @@ def drops(recorded: Scores, measured: Scores, tolerance: float) -> list[str]:
 
 
 def main() -> None:
-    """Write the table and say what has changed."""
     before = json.loads(TABLE.read_text())["ws_psnr"] if TABLE.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         scores = measure(Path(folder))

@@ -23,8 +23,8 @@ from omnisyn_cli.poses.file import PosedPanorama, write_poses
 
 SIZE = (16, 32)
 
+# What is said of the plan and of each stage where there is no terminal.
 STAGE_LINE = re.compile(r"^\[\d+:\d\d\] .*\n", re.MULTILINE)
-"""What is said of the plan and of each stage where there is no terminal."""
 
 
 @dataclass(frozen=True)

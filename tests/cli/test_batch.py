@@ -1,7 +1,5 @@
 """``omnisyn batch``: killed workers and a killed command cost time, nothing else."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -17,9 +15,7 @@ from cli.cli_samples import Omnisyn, listing, start_cli, write_pair
 from interpolation_samples import edit_poses
 
 NAMES = ("a.png", "b.png", "c.png", "d.png")
-
 SIZE = (128, 256)
-
 SECONDS = 600
 
 

@@ -17,7 +17,6 @@ from omnisyn_cli.pipeline.presets import SCALE
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
-
 SCORES = {"fast": 25.0, "balanced": 27.0}
 
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -14,8 +15,6 @@ from omnisyn_cli.runtime import session
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
-
-
 METHODS = ("crossfade", "oracle-depth", "omnisyn-paper")
 
 
@@ -33,10 +32,7 @@ def scenes(tmp_path: Path) -> Path:
 def no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     """So that a method cannot run."""
 
-    def missing(*_: object, **__: object) -> None:
-        raise InputError("expected the network, got none")
-
-    monkeypatch.setattr(session, "open_model", missing)
+    monkeypatch.setattr(session, "open_model", Mock(side_effect=InputError("expected the network, got none")))
 
 
 def arguments(scenes: Path, *more: object) -> list[object]:

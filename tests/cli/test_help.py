@@ -17,7 +17,6 @@ from omnisyn_cli.interpolation.planning.figures import standard_seconds
 from omnisyn_cli.pipeline.presets import PRESETS
 
 COMMANDS = ("interpolate", "view", "export")
-
 every_command = pytest.mark.parametrize("name", COMMANDS)
 
 

@@ -14,7 +14,6 @@ from omnisyn_cli.interpolation import summary
 from omnisyn_cli.io import read_panorama, write_image
 
 ROOM = Path(__file__).parents[2] / "examples" / "room"
-
 SECOND = "<b>&'.jpg"
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import click
 import pytest
@@ -140,16 +141,14 @@ RAISED = {
 def test_errors_become_one_line_and_an_exit_code(omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch, case: str) -> None:
     error, code, words = RAISED[case]
 
-    def fail(**arguments: object) -> None:
-        raise error
-
-    monkeypatch.setattr(cli.get_command(None, "info"), "callback", fail)  # type: ignore[arg-type]
+    monkeypatch.setattr(cli.get_command(None, "info"), "callback", Mock(side_effect=error))  # type: ignore[arg-type]
     assert words in omnisyn.refused("info", "a.jpg", code=code)
     told = json.loads(omnisyn.ended(code, "info", "a.jpg", "--json").out)
     assert told["exit_code"] == code
     assert words.strip().replace("\n", " ").removeprefix("omnisyn: ") in told["error"]
 
 
+# The main thread never gives Python's lock away, like a library that waits for its own threads.
 ABORTED = """
 import ctypes, sys
 from omnisyn_cli.cli.aborts import CXX_LIBRARY, explain_memory_aborts
@@ -159,7 +158,6 @@ thread, system = ctypes.c_void_p(), ctypes.PyDLL(None)
 system.pthread_create(ctypes.byref(thread), None, ctypes.CDLL(CXX_LIBRARY)[sys.argv[1]], None)
 system.pthread_join(thread, None)
 """
-"""The main thread never gives Python's lock away, like a library that waits for its own threads."""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="another C++")
@@ -224,10 +222,7 @@ def test_a_full_disk_behind_the_output_is_no_traceback(tmp_path: Path, words: st
 def test_bugs_are_not_dressed_up(omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch) -> None:
     """What nobody foresaw keeps its traceback; hiding it would hide the way to its cause."""
 
-    def fail(**arguments: object) -> None:
-        raise ZeroDivisionError
-
-    monkeypatch.setattr(cli.get_command(None, "info"), "callback", fail)  # type: ignore[arg-type]
+    monkeypatch.setattr(cli.get_command(None, "info"), "callback", Mock(side_effect=ZeroDivisionError))  # type: ignore[arg-type]
     with pytest.raises(ZeroDivisionError):
         omnisyn("info", "a.jpg")
 
@@ -261,10 +256,10 @@ def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
 
 
 def test_what_the_system_refuses_is_named(omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied", "some/folder")
-
-    monkeypatch.setattr("omnisyn_cli.interpolation.describe.describe_file", refused)
+    monkeypatch.setattr(
+        "omnisyn_cli.interpolation.describe.describe_file",
+        Mock(side_effect=PermissionError(13, "Permission denied", "some/folder")),
+    )
     expected = "some/folder: expected a place that can be used, got 'Permission denied'; check its name and permissions"
     assert omnisyn.refused("info", "a.jpg", code=1) == f"omnisyn: {expected}\n"
 
@@ -291,7 +286,6 @@ def test_names_that_no_terminal_can_show_do_not_stop_the_work(tmp_path: Path) ->
 
 
 COMMANDING_NAME = "a\x1b[31m\n\x9bred\u202egnp.jpg"
-
 SPELLED_OUT = r"a\u001b[31m\u000a\u009bred\u202egnp.jpg"
 
 

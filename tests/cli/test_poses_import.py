@@ -138,8 +138,7 @@ def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, omnisyn: O
 
 
 @pytest.mark.parametrize(
-    "words",
-    ["--origin north", "--origin 91,0", "--origin 1,2,inf", "--origin 1", "--up x", "--format bundler"],
+    "words", ["--origin north", "--origin 91,0", "--origin 1,2,inf", "--origin 1", "--up x", "--format bundler"]
 )
 def test_wrong_usage_is_2(tmp_path: Path, omnisyn: Omnisyn, words: str) -> None:
     omnisyn.misused("poses", "import", table(tmp_path), "-o", tmp_path / "poses.json", *words.split())

@@ -15,13 +15,12 @@ from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, read_poses, write_poses
 from synthesis_samples import write_hall
 
+# The ending of what a command makes, and options that make it cheap.
 COMMANDS: dict[str, tuple[str, tuple[object, ...]]] = {
     "interpolate": (".mp4", ("--frames", 3, "--encoder-preset", "ultrafast")),
     "view": (".html", ()),
     "export": (".glb", ()),
 }
-"""The ending of what a command makes, and options that make it cheap."""
-
 every_command = pytest.mark.parametrize("command", COMMANDS)
 
 

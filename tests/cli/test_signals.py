@@ -1,7 +1,5 @@
 """A signal is a signal wherever it arrives: its exit code, one line, all outputs or none, no process left behind."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os
@@ -32,8 +30,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),  # torn out between `open` and its `with`
 ]
 
-LONG = 60.0
-"""Seconds that something waits which a signal shall break off."""
+LONG = 60.0  # Seconds that something waits which a signal shall break off.
 
 
 @pytest.fixture(autouse=True)

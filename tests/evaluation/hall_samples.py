@@ -15,17 +15,16 @@ from synthesis_samples import as_bytes, hall_image, posed, write_hall
 
 SIZE = (64, 128)
 
+# The second and third pose are not on the line between the first and the last.
 PATH = (
     posed((0, 0, 0.6)),
     posed((0.25, 0.1, 0.3), 0.4, 0.1),
     posed((-0.2, -0.1, -0.2), -0.3, 0.0, 0.2),
     posed((0, 0, -0.6), 0.5),
 )
-"""The second and third pose are not on the line between the first and the last."""
 
 
 def write_halls(folder: Path, *names: str, frames: int = 4, with_depth: bool = True) -> Path:
-    """A data set with scenes of these names."""
     for name in names:
         (folder / name).mkdir(parents=True)
         write_hall(folder / name, [*PATH[: frames - 1], PATH[-1]], SIZE, with_depth=with_depth)
@@ -47,7 +46,6 @@ def damage(path: Path) -> None:
 
 
 def repaint(path: Path) -> None:
-    """Another picture of the same size."""
     write_image(path, as_bytes(1 - hall_image(PATH[1], SIZE)))
 
 

@@ -207,7 +207,6 @@ def test_time_and_memory_are_those_of_the_process():
 
 def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(tmp_path, monkeypatch):
     pair = hall_pair(tmp_path / "data")
-
     seconds = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0, "render": 6.0, "fuse": 2.0, "total": 20.0}
     monkeypatch.setattr(bench_run, "run_interpolation", lambda plan, estimator, now: SimpleNamespace(seconds=seconds))
     ends = (pair.first.image, pair.second.image)

@@ -25,9 +25,7 @@ from omnisyn_cli.pipeline.presets import PRESETS, SCALE
 from synthesis_samples import write_hall
 
 FRAME = {"render": 0.1, "fuse": 0.04, "encode": 0.06}
-
 SECONDS = {"start": 3.0, "decode": 0.2, "depth": 5.0, "check": 0.5, "mesh": 0.3, **FRAME}
-
 SCORES = {"fast": 25.0, "balanced": 27.0}
 
 
@@ -36,6 +34,7 @@ def figures_of(config: RunConfig, rows: int = 64, **changes: object) -> Figures:
     return replace(Figures(setting, config=config, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
 
 
+# The presets, and one that fuses by rules.
 TABLE_NAME = (
     *(
         figures_of(SCALE[name].config, seconds={**SECONDS, "depth": depth}, scores={"a": score, "b": score + 1})
@@ -43,7 +42,6 @@ TABLE_NAME = (
     ),
     figures_of(RunConfig()),
 )
-"""The presets, and one that fuses by rules."""
 
 
 @pytest.fixture(autouse=True)
@@ -103,10 +101,7 @@ def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan):
     assert (frame(256), frame(32)) == pytest.approx((4 * 0.26, 0.2 / 4))
 
 
-@pytest.mark.parametrize(
-    "config",
-    [RunConfig(method="synsin"), PRESETS["paper"].config],
-)
+@pytest.mark.parametrize("config", [RunConfig(method="synsin"), PRESETS["paper"].config])
 def test_what_was_not_measured_is_not_guessed(plan, config):
     assert expected_duration(replace(plan, config=config), TABLE_NAME) is None
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -33,7 +34,6 @@ def halls(tmp_path):
 
 
 def lines(folder: Path) -> list[tuple[str, str]]:
-    """Scene and method of every line of the results."""
     return [(record.scene, record.method) for record in read_records(folder.parent / "report")]
 
 
@@ -265,12 +265,9 @@ def test_broken_poses_and_missing_files_are_reported_too(halls):
 
 
 def test_a_method_that_breaks_does_not_end_the_others(halls, monkeypatch):
-    def explode(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("by\nzero")
-
     original = engine.find_methods
     bad = ComparedMethod("bad", "", RunConfig(DepthSource("network", model="any")))
-    monkeypatch.setattr(session, "open_model", explode)
+    monkeypatch.setattr(session, "open_model", Mock(side_effect=ZeroDivisionError("by\nzero")))
     monkeypatch.setattr(engine, "find_methods", lambda text: [bad, *original(text)])
     records = run(halls, "crossfade")
     assert [(r.method, r.status) for r in records] == [("bad", "failed"), ("crossfade", "done")] * 2
@@ -305,10 +302,7 @@ def test_scenes_without_panoramas_are_listed_once(tmp_path):
 
 
 def test_what_cannot_run_says_why(tmp_path, monkeypatch):
-    def missing(*_: object, **__: object) -> None:
-        raise InputError("expected the network, got none")
-
-    monkeypatch.setattr(session, "open_model", missing)
+    monkeypatch.setattr(session, "open_model", Mock(side_effect=InputError("expected the network, got none")))
     data = write_halls(tmp_path / "data", "hall", with_depth=False)
     records = run(data, "oracle-depth,omnisyn-paper")
     assert [record.status for record in records] == ["unavailable"] * 2

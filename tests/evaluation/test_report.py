@@ -9,6 +9,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -270,10 +271,7 @@ def test_a_folder_that_cannot_be_written_is_an_error_of_its_own(tmp_path):
 
 
 def test_a_full_disk_is_said_of_the_folder(tmp_path, monkeypatch):
-    def full(path: Path, data: bytes) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "write_bytes", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(WriteError, match="report: expected to write it, got 'No space"):
         write_report(tmp_path / "report", [])
     assert list(tmp_path.iterdir()) == []

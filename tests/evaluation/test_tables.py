@@ -165,8 +165,7 @@ def test_groups_by_scene_time_distance_and_baseline():
 
 
 @pytest.mark.parametrize(
-    ("median", "name"),
-    [(20.0, "narrow (0 to 0.25)"), (8.0, "medium (0.25 to 0.6)"), (2.0, "wide (from 0.6)")],
+    ("median", "name"), [(20.0, "narrow (0 to 0.25)"), (8.0, "medium (0.25 to 0.6)"), (2.0, "wide (from 0.6)")]
 )
 def test_groups_by_baseline_over_median_depth(median: float, name: str) -> None:
     shown = figures(table("Baseline over median depth", [unit("hall", "matching", median_depth=median)]))

@@ -11,8 +11,7 @@ from omnisyn_cli.interpolation.export.formats import ExportJob, ExportSummary, p
 from omnisyn_cli.interpolation.export.run import run_export
 from synthesis_samples import PHASES, RADIUS, WAVES, write_hall
 
-OPENCV = np.diag([1.0, -1.0, -1.0])
-"""Our axes and those of OpenCV, either way: x stays, y and z turn round."""
+OPENCV = np.diag([1.0, -1.0, -1.0])  # Our axes and those of OpenCV, either way: x stays, y and z turn round.
 
 
 def job_in(folder: Path, output: str, *, chain: Sequence[Pose] = CHAIN, **options: object) -> ExportJob:

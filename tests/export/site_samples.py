@@ -12,23 +12,21 @@ from omnisyn_cli.poses.tour_file import TOUR_NAME
 
 SIZE = (512, 1024)
 
+# Position and heading, pitch and roll in degrees of every panorama; the first one stands where three ways meet.
 PLACES = {
     "hall": ((0.0, 1.5, 0.0), (0.0, 0.0, 0.0)),
     "a b & <c>": ((0.3, 1.4, -2.0), (70.0, 8.0, -5.0)),
     "stairs": ((1.9, 2.4, 0.4), (200.0, -12.0, 20.0)),
     "garden": ((-2.2, 1.5, 0.6), (-95.0, 3.0, 4.0)),
 }
-"""Position and heading, pitch and roll in degrees of every panorama; the first one stands where three ways meet."""
-
 LINKS = (("hall", "a b & <c>"), ("hall", "stairs"), ("hall", "garden"))
 
+# Colour, and yaw and pitch in degrees from north, of what is infinitely far.
 LANDMARKS = {
     "red": ((235, 20, 20), (140.0, 10.0)),
     "green": ((20, 220, 20), (-60.0, -20.0)),
     "magenta": ((230, 20, 230), (25.0, 35.0)),
 }
-"""Colour, and yaw and pitch in degrees from north, of what is infinitely far."""
-
 NEIGHBOUR = (20, 220, 235)
 LANDMARK_RADIUS, NEIGHBOUR_RADIUS = np.radians(4.0), np.radians(2.5)
 

@@ -22,11 +22,8 @@ from omnisyn_cli.io import read_depth, write_depth
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from synthesis_samples import RADIUS, SIZE, hall_image, open_to_the_sky, posed, write_mask
 
-HALF_PIXEL = 0.02
-"""Metres: nearest depth on faces is up to half a pixel aside."""
-
-Z_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""Ours from a world with z up: its y is our −z."""
+HALF_PIXEL = 0.02  # Metres: nearest depth on faces is up to half a pixel aside.
+Z_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # Ours from a world with z up: its y is our −z.
 
 
 def lines_of(path: Path) -> list[list[str]]:

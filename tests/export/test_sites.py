@@ -27,8 +27,8 @@ from omnisyn_cli.io import read_panorama, write_image
 from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.types import DepthEstimate, View
 
+# krpano, "Coordinate Systems": x right, y down, z into the screen; 0/0 is the centre of the picture; 1 is 1 cm.
 KRPANO_AXES = np.array([1.0, -1.0, -1.0])
-"""krpano, "Coordinate Systems": x right, y down, z into the screen; 0/0 is the centre of the picture; 1 is 1 cm."""
 
 
 def job_of_tour(tour: Path, output: Path) -> ExportJob:
@@ -211,10 +211,7 @@ def test_krpano_meets_its_neighbours_where_links_say(krpano: Path) -> None:
 
 
 def test_krpano_runs_nothing_that_texts_and_addresses_say(tour: Path, tmp_path: Path) -> None:
-    """Its actions take commas and brackets for their own, so addresses stand in attributes of their own.
-
-    In texts ``[…]`` are tags or expressions, and ``get:`` begins an expression.
-    """
+    """``,()`` end arguments of its actions; in texts ``[…]`` are tags or expressions, and ``get:`` begins one."""
     document = json.loads((tour / "tour.json").read_text())
     document["hotspots"][0]["text"] = "get:[b]x[/b]"
     document["panoramas"]["hall.png"]["hotspots"][0]["link"] = "https://example.org/);js(alert(1));("

@@ -147,8 +147,7 @@ def test_nothing_seen_by_anybody_is_black_and_finite() -> None:
     np.testing.assert_array_equal(fuser(nothing, nothing, 0.5), np.zeros((*SIZE, 3), np.float32))
 
 
-WIDE_SIZE = (61, 1200)
-"""More columns than are blended together."""
+WIDE_SIZE = (61, 1200)  # More columns than are blended together.
 
 
 def mixed_rendering(seed: int) -> Layer:

@@ -47,14 +47,12 @@ def with_ball(image: np.ndarray, where: np.ndarray) -> np.ndarray:
 
 
 def border(where: np.ndarray, reach: int) -> np.ndarray:
-    """Pixels near the outline."""
     near = [np.roll(where, (i, j), (0, 1)) for i in range(-reach, reach + 1) for j in (-reach, 0, reach)]
     near += [np.roll(where, (i, j), (0, 1)) for i in (-reach, 0, reach) for j in range(-reach, reach + 1)]
     return np.any(near, axis=0) & ~np.all(near, axis=0)
 
 
 def suppress(first: Layer, second: Layer, t: float, **changes: float) -> None:
-    """Suppress ghosts in the colours of both, in two bands."""
     height = len(first.inverse_depth)
     remover = GhostRemover(first.inverse_depth.shape, threads=1)
     step = remover(first, second, replace(BlendRule.at(t), **changes))
@@ -148,9 +146,8 @@ def test_outside_of_what_moved_nothing_changes() -> None:
     np.testing.assert_allclose(found[far], without[far], atol=1e-4)
 
 
+# A quarter of the range from one side of the panorama to the other: vignetting, another sky.
 LIGHT = 0.125 * np.cos(np.arange(SIZE[1]) * (2 * np.pi / SIZE[1]))[None, :, None]
-"""A quarter of the range from one side of the panorama to the other: vignetting, another sky."""
-
 THIN = np.abs(np.arange(SIZE[1]) - 150)[None, :] * np.ones(SIZE) < 2
 
 

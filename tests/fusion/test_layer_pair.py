@@ -11,9 +11,8 @@ from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer
 
+# Cells of some pixels and of all, even and odd, of many bands and of one.
 SIZES = [(1024, 2048), (901, 1799), (131, 261), (64, 128), (1, 2)]
-"""Cells of some pixels and of all, even and odd, of many bands and of one."""
-
 RED = (0.9, 0.1, 0.1)
 
 
@@ -46,10 +45,7 @@ def correct(planes: np.ndarray) -> np.ndarray:
     return np.full_like(planes[:4], 0.1)
 
 
-FUSERS = {
-    "geometric": GeometricFuser,
-    "network": lambda size, threads: ResidualFuser(size, correct, 128, threads),
-}
+FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: ResidualFuser(size, correct, 128, threads)}
 
 
 @pytest.mark.parametrize(

@@ -21,11 +21,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer
 
-ROWS = 32
-"""That the network looks at."""
-
-SIZE = (CANDIDATE_SCALE * ROWS, 2 * CANDIDATE_SCALE * ROWS)
-"""Of the least renderings that it can be asked about."""
+ROWS = 32  # That the network looks at.
+SIZE = (CANDIDATE_SCALE * ROWS, 2 * CANDIDATE_SCALE * ROWS)  # Of the least renderings that it can be asked about.
 
 
 def rendering(seed, size=SIZE, offset=(0.0, 0.0, 0.5), holes=0.2):

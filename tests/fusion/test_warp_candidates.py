@@ -10,23 +10,12 @@ from test_residual_fuser import copy, geometric, pair
 
 from omnisyn_cli.baselines import direct_fuser
 from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
+from omnisyn_cli.fusion import warp_candidates
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, fusion_input_channels
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
-from omnisyn_cli.fusion.warp_candidates import (
-    CANDIDATE_CHANNELS,
-    CANDIDATE_DIFFERENCE,
-    CANDIDATE_RGB,
-    CROSS_VIEW,
-    HYPOTHESIS_DEPTHS,
-    HYPOTHESIS_OCCLUSION,
-    HYPOTHESIS_WINDOW_RADIUS,
-    WarpCandidates,
-    depth_hypotheses,
-    make_warp_candidates,
-)
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -47,27 +36,29 @@ def shown(rho, colour=0.5, size=SIZE):
 def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_and_over_the_seam():
     first, second = np.full(SIZE, 0.3), np.full(SIZE, -1.0)
     first[10, 63], second[20, 30] = 0.9, 0.1
-    farthest, nearest = depth_hypotheses(shown(first), shown(second))
+    farthest, nearest = warp_candidates.depth_hypotheses(shown(first), shown(second))
     row, col = np.indices(SIZE)
-    by_near = (np.abs(row - 10) <= HYPOTHESIS_WINDOW_RADIUS) & (
-        np.abs((col - 63 + 32) % 64 - 32) <= HYPOTHESIS_WINDOW_RADIUS
+    by_near = (np.abs(row - 10) <= warp_candidates.HYPOTHESIS_WINDOW_RADIUS) & (
+        np.abs((col - 63 + 32) % 64 - 32) <= warp_candidates.HYPOTHESIS_WINDOW_RADIUS
     )
-    by_far = (np.abs(row - 20) <= HYPOTHESIS_WINDOW_RADIUS) & (np.abs(col - 30) <= HYPOTHESIS_WINDOW_RADIUS)
+    by_far = (np.abs(row - 20) <= warp_candidates.HYPOTHESIS_WINDOW_RADIUS) & (
+        np.abs(col - 30) <= warp_candidates.HYPOTHESIS_WINDOW_RADIUS
+    )
     np.testing.assert_array_equal(nearest, np.where(by_near, np.float32(0.9), np.float32(0.3)))
     np.testing.assert_array_equal(farthest, np.where(by_far, np.float32(0.1), np.float32(0.3)))
 
 
 def test_where_nothing_is_seen_at_all_points_are_infinitely_far():
-    assert not depth_hypotheses(shown(-1.0), shown(-1.0)).any()
+    assert not warp_candidates.depth_hypotheses(shown(-1.0), shown(-1.0)).any()
 
 
 def test_planes_say_at_which_depths_photographs_are_looked_up():
     """The second surface is everywhere, the first one on the left only."""
     half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
     samplers = (plain_sampler(0.25), plain_sampler(0.75))
-    planes = make_warp_candidates(shown(half_seen), shown(0.4), samplers, 4.0, threads=1).channels
-    assert planes.shape == (CANDIDATE_CHANNELS, 16, 32)
-    farthest, nearest = planes[HYPOTHESIS_DEPTHS - INPUT_CHANNELS :][:2]
+    planes = warp_candidates.make_warp_candidates(shown(half_seen), shown(0.4), samplers, 4.0, threads=1).channels
+    assert planes.shape == (warp_candidates.CANDIDATE_CHANNELS, 16, 32)
+    farthest, nearest = planes[warp_candidates.HYPOTHESIS_DEPTHS - INPUT_CHANNELS :][:2]
     np.testing.assert_allclose(farthest[:, 4:12], np.sqrt(0.2 * 4), atol=1e-6)
     np.testing.assert_allclose(farthest[:, 20:28], np.sqrt(0.4 * 4), atol=1e-6)
     np.testing.assert_allclose(nearest, np.sqrt(0.4 * 4), atol=1e-6)
@@ -82,7 +73,7 @@ def test_planes_are_means_over_blocks_of_what_is_seen(threads):
         for k in (0, 1)
     )
     first, second = shown(np.where(rng.random(SIZE) < 0.5, 0.2, -1.0)), shown(0.4)
-    planes = make_warp_candidates(first, second, source_samplers, 4.0, threads).channels
+    planes = warp_candidates.make_warp_candidates(first, second, source_samplers, 4.0, threads).channels
 
     def means(values, counts=True):
         blocks = np.where(counts, values, 0.0).reshape(16, 2, 32, 2).sum(axis=(1, 3))
@@ -90,15 +81,15 @@ def test_planes_are_means_over_blocks_of_what_is_seen(threads):
 
     told, seen, half = np.clip(gaps / 0.24, -1, 1), first.inverse_depth >= 0, np.abs(colours - 0.5)[..., :3].mean(-1)
     expected = {
-        CROSS_VIEW: [
+        warp_candidates.CROSS_VIEW: [
             *(means(colours[1, ..., k], seen) for k in range(3)),
             *(means(each, seen) for each in (half[1], np.maximum(told[1], 0), np.maximum(-told[1], 0))),
             *(means(colours[0, ..., k]) for k in range(3)),
             *(means(each) for each in (half[0], np.maximum(told[0], 0), np.maximum(-told[0], 0))),
         ],
-        CANDIDATE_RGB: 2 * [means(colours[view, ..., k]) for view in (0, 1) for k in range(3)],
-        HYPOTHESIS_OCCLUSION: 2 * [means(each) for each in told],
-        CANDIDATE_DIFFERENCE: 2 * [means(np.abs(colours[0] - colours[1])[..., :3].mean(-1))],
+        warp_candidates.CANDIDATE_RGB: 2 * [means(colours[view, ..., k]) for view in (0, 1) for k in range(3)],
+        warp_candidates.HYPOTHESIS_OCCLUSION: 2 * [means(each) for each in told],
+        warp_candidates.CANDIDATE_DIFFERENCE: 2 * [means(np.abs(colours[0] - colours[1])[..., :3].mean(-1))],
     }
     for channel, values in expected.items():
         np.testing.assert_allclose(planes[channel - INPUT_CHANNELS :][: len(values)], values, atol=1e-6)
@@ -125,7 +116,7 @@ def test_points_are_those_of_the_hypotheses_and_masked_photographs_have_no_share
     shares[0, :16], shares[2, 16:], shares[3] = 0.5, 0.25, 0.5
     image = np.full((*size, 3), 0.5, np.float32)
     image = image if dtype == np.float32 else np.rint(255 * image).astype(np.uint8)
-    WarpCandidates(np.empty(0), hypotheses, source_samplers).mix_in(shares, image, threads)
+    warp_candidates.WarpCandidates(np.empty(0), hypotheses, source_samplers).mix_in(shares, image, threads)
     found = image if dtype == np.float32 else image / 255
     wide = hypotheses.repeat(2, 1).repeat(2, 2)[..., None]
     for rows, share, which in ((np.s_[:60], 0.5, 0), (np.s_[68:], 0.25, 1)):
@@ -143,7 +134,7 @@ def test_candidates_are_both_photographs_at_both_surfaces():
         return SourceSampler(paint, lambda points: points, lambda points, least: points)
 
     hypotheses = np.random.default_rng(0).random((2, 32, 64), np.float32)
-    found = WarpCandidates(np.empty(0), hypotheses, (tell(1.0), tell(2.0))).candidates((64, 128))
+    found = warp_candidates.WarpCandidates(np.empty(0), hypotheses, (tell(1.0), tell(2.0))).candidates((64, 128))
     wide = hypotheses.repeat(2, 1).repeat(2, 2)
     for candidate, (surface, factor) in zip(found, ((0, 1), (0, 2), (1, 1), (1, 2)), strict=True):
         np.testing.assert_allclose(candidate[..., 0], factor * wide[surface], rtol=1e-6)

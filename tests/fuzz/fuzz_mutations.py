@@ -1,7 +1,5 @@
 """Files made hostile: bits, bytes, lengths, numbers, names and trees changed, always the same for the same seed."""
 
-from __future__ import annotations
-
 import json
 import random
 import re
@@ -15,12 +13,10 @@ NASTY_TOKENS = (
     b'"/dev/zero"', b'"' + b"a" * 5000 + b'"', b"[" * 20_000, b'{"a":' * 20_000, b"\x00", b"\xff\xfe", b"\xef\xbb\xbf",
     b"\r", b",", b";", b"#", b"'",
 )  # fmt: skip
-
 NASTY_VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2**31, 2**63, 10**400, -(10**400), 1e308, -1e308, 5e-324, 0.5, "", " ", "\0", "\ud800",
     "a" * 5000, "../x", "/etc/passwd", "nan", "inf", "1e999", [], {}, [[]], [None], {"": None}, [0] * 1000,
 )  # fmt: skip
-
 INTERESTING = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 TOKEN = re.compile(rb'"[^"\n]{0,200}"|-?\d+(?:\.\d+)?(?:e-?\d+)?')
 PNG = b"\x89PNG\r\n\x1a\n"

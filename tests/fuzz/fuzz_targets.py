@@ -1,7 +1,5 @@
 """What reads files that others wrote: for each reader a folder of good files, the ones to break, and the call."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -15,17 +13,12 @@ from typing import Any
 
 import numpy as np
 
-MAX_PIXELS = 1 << 20
-"""What readers of images are told; with it an image cannot take more than :data:`MEMORY`."""
-
-MEMORY = 256 << 20
-"""Bytes by which a hostile file may raise the peak of the process."""
+MAX_PIXELS = 1 << 20  # What readers of images are told; with it an image cannot take more than :data:`MEMORY`.
+MEMORY = 256 << 20  # Bytes by which a hostile file may raise the peak of the process.
 
 
 @dataclass(frozen=True)
 class Target:
-    """A reader under test."""
-
     files: Mapping[str, bytes]  # a folder of files that are read without complaint, by name
     broken: tuple[str, ...]  # names of those that are made hostile, one at a time
     read: Callable[[Path], object]  # called with the folder; ends regularly or raises an error of the package
@@ -68,7 +61,6 @@ def _bytes_of(write: Callable[[Path], object], name: str) -> bytes:
 
 
 def _picture(name: str, dtype: str = "uint8", channels: int = 3, **tags: Any) -> bytes:
-    """A small panorama as OpenImageIO writes it."""
     import OpenImageIO
 
     rng = np.random.default_rng(0)
@@ -94,7 +86,6 @@ GPANO = {
     "GPano:CroppedAreaImageHeightPixels": 16, "GPano:CroppedAreaLeftPixels": 4, "GPano:CroppedAreaTopPixels": 3,
     "GPano:ProjectionType": "equirectangular",
 }  # fmt: skip
-
 GPS = {
     "GPS:Latitude": ("float[3]", (48.0, 7.0, 30.0)), "GPS:LatitudeRef": "N",
     "GPS:Longitude": ("float[3]", (11.0, 34.0, 2.0)), "GPS:LongitudeRef": "E",
@@ -141,7 +132,6 @@ POSES = {
         "b.png": {"matrix": [[1, 0, 0, 1.5], [0, 1, 0, 0], [0, 0, 1, -5.0], [0, 0, 0, 1]], "mask": "m/b.png"},
     },
 }
-
 PLACES = {
     "version": 1,
     "panoramas": {
@@ -347,7 +337,6 @@ def _costs() -> Target:
 
 
 def _mesh(suffix: str) -> Target:
-    """A textured box."""
     import trimesh
 
     from omnisyn_cli.io.meshes import read_mesh
@@ -375,8 +364,7 @@ def _foreign(name: str) -> Target:
     return Target(files, broken, read)
 
 
-CAMERAS_BIN = struct.pack("<QIiQQddd", 1, 1, 11, 64, 32, 10.0, 32.0, 16.0)
-"""One camera of SphereSfM."""
+CAMERAS_BIN = struct.pack("<QIiQQddd", 1, 1, 11, 64, 32, 10.0, 32.0, 16.0)  # One camera of SphereSfM.
 
 
 def _images_bin() -> bytes:
@@ -397,29 +385,24 @@ PICTURES = {"0.png": b"", "1.png": b""}
 NAMED = {"a.png": b"", "b.png": b""}
 ROWS = [{"pano_id": f"{n}", "location": {"lat": 48.1, "lng": 11.5}, "heading": 20 * n, "pitch": 0} for n in range(3)]
 SHOT = {"camera": "c", "rotation": [0.1, 0.2, 0.3], "translation": [1, 2, 3.5]}
-
 RECONSTRUCTION = {
     "cameras": {"c": {"projection_type": "spherical", "width": 64, "height": 32}},
     "shots": {"a.png": SHOT, "b.png": SHOT},
     "reference_lla": {"latitude": 48.0, "longitude": 11.0, "altitude": 500.0},
 }
-
 MATRIX = [[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, -3], [0, 0, 0, 1]]
-
 TRANSFORMS = {
     "camera_model": "EQUIRECTANGULAR", "applied_scale": 2.0, "applied_transform": MATRIX[:3],
     "frames": [{"file_path": f"./images/{n}.png", "transform_matrix": MATRIX} for n in range(2)],
 }  # fmt: skip
-
 SIMILARITY = {"translation": [1.0, 2.0], "rotation": 30.0, "scale": 0.5}
-
 ROOM = {
     f"p{n}": {"image_path": f"p/{n}.jpg", "camera_height": 1.0, "floor_plan_transformation": SIMILARITY} for n in "12"
 }
-
 HOUSE = {"merger": {"f1": {"r1": {"q1": ROOM}}}, "scale_meters_per_coordinate": {"f1": 3.5}}
 PLACE = {"rot.txt": b"1 0 0\n0 1 0\n0 0 1\n", "tran.txt": b"0.5\n1\n-2\n", "rgb.png": b""}
 
+# By format: the name of the source below the folder, and its files, or what makes them.
 FOREIGN: dict[str, tuple[str, dict[str, bytes] | Callable[[], dict[str, bytes]]]] = {
     "csv": ("places.csv", {
         "places.csv": b"image,lat,lng,heading,altitude\na.png,48.1,11.5,93,520\nb.png,48.2,11.6,9.5,521\n",
@@ -441,4 +424,3 @@ FOREIGN: dict[str, tuple[str, dict[str, bytes] | Callable[[], dict[str, bytes]]]
     "authors": (".", _authors),
     "exif": ("a.jpg", lambda: {"a.jpg": _picture("a.jpg", **GPS)}),
 }  # fmt: skip
-"""By format: the name of the source below the folder, and its files, or what makes them."""

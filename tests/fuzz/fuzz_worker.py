@@ -4,8 +4,6 @@
 ``finding WORDS`` after every file.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import resource
@@ -23,14 +21,9 @@ from fuzz_targets import MEMORY, Target, targets
 from omnisyn_cli.errors import OmnisynError
 from process_limits import peak_memory
 
-LONGEST_MESSAGE = 20_000
-"""Characters; a message is for people."""
-
-SLOW = 5.0
-"""Seconds of the processor for one small file."""
-
-HARD_LIMIT = 4 << 30
-"""Bytes of data segment: what tries to take more fails instead of taking the machine down."""
+LONGEST_MESSAGE = 20_000  # Characters; a message is for people.
+SLOW = 5.0  # Seconds of the processor for one small file.
+HARD_LIMIT = 4 << 30  # Bytes of data segment: what tries to take more fails instead of taking the machine down.
 
 
 def hostile(name: str, target: Target, seed: int, index: int) -> tuple[str, bytes]:
@@ -62,14 +55,12 @@ def outcome(target: Target, folder: Path) -> str:
 
 
 def put(folder: Path, name: str, data: bytes) -> None:
-    """A file below a folder."""
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
 
 
 def run(name: str, seed: int, begin: int, end: int, speaker: TextIO) -> None:
-    """Read the broken files ``begin`` to ``end`` of a target."""
     target = targets()[name]()
     with tempfile.TemporaryDirectory(dir=_fast_folder()) as place:
         folder = Path(place) / "in"

@@ -6,8 +6,6 @@ say what was expected, more than 5 s, more than 256 MiB, no end, the death of th
 ``run_fuzz.py --seed S --only TARGET --index I``.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import selectors
@@ -21,14 +19,12 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 
+# A process that has been silent for so long hangs; importing takes its time on a busy machine.
 SECONDS_WITHOUT_WORD = 120.0
-"""A process that has been silent for so long hangs; importing takes its time on a busy machine."""
 
 
 @dataclass
 class Report:
-    """What came of the files of one target."""
-
     counts: Counter[str] = field(default_factory=Counter)
     findings: list[str] = field(default_factory=list)
 
@@ -63,7 +59,6 @@ def fuzz(names: Sequence[str], inputs: int, seed: int = 0, begin: int = 0) -> di
 
 
 def _without(todo: dict[str, tuple[int, int]], name: str, index: int) -> dict[str, tuple[int, int]]:
-    """What is left when everything up to an index is done."""
     left = {**todo, name: (index + 1, todo[name][1])}
     return {name: span for name, span in left.items() if span[0] < span[1]}
 

@@ -8,6 +8,7 @@ import sys
 import tomllib
 import zlib
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from fuzz_mutations import PNG, mutated
@@ -21,9 +22,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.results import RESULTS_NAME, UnitRecord, read_records
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, read_manifest
 
-SHORT = 8
-"""Hostile files for every target."""
-
+SHORT = 8  # Hostile files for every target.
 BUSY = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -34,6 +33,7 @@ def test_every_reader_reads_or_refuses_hostile_files() -> None:
     assert all(report.counts.total() == SHORT for report in reports.values())
 
 
+# Files, by seed, that once ended with another error or a warning of numpy's; one names /dev/zero as a pose file.
 FOUND: dict[int, dict[str, tuple[int, ...]]] = {
     9: {"poses opensfm": (724,)},
     45: {
@@ -47,7 +47,6 @@ FOUND: dict[int, dict[str, tuple[int, ...]]] = {
     },
     45000: {"batch jsonl": (202, 1525), "poses nerfstudio": (1096,)},
 }  # fmt: skip
-"""Files, by seed, that once ended with another error or a warning of numpy's; one names /dev/zero as a pose file."""
 
 
 @pytest.mark.filterwarnings("ignore", "error::RuntimeWarning")
@@ -94,10 +93,7 @@ def _has_right_checksums(data: bytes) -> bool:
     [(KeyError("x"), "finding KeyError"), (InputError("no"), "finding message"), (InputError("expected x"), "refused")],
 )
 def test_findings_are_found(tmp_path: Path, error: Exception, words: str) -> None:
-    def read(folder: Path) -> None:
-        raise error
-
-    target = type(targets()["poses.json"]())({}, (), read)
+    target = type(targets()["poses.json"]())({}, (), Mock(side_effect=error))
     assert outcome(target, tmp_path).startswith(words)
 
 

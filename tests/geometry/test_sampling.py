@@ -8,27 +8,14 @@ import pytest
 import torch
 from geometry_samples import directions, rotations
 
+from omnisyn_cli.geometry import sampling
 from omnisyn_cli.geometry.pose import rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sampling import (
-    add_border,
-    add_columns,
-    filter_across_seam,
-    grid_subsample,
-    rotated_directions,
-    rotated_image,
-    sample_bicubic,
-    sample_bilinear,
-    sample_nearest,
-    window_max,
-    window_min,
-    wrap_pixel,
-)
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_pixel, pixel_directions, pixel_to_direction
 
 SIZE = (16, 32)
-SAMPLERS = [sample_nearest, sample_bilinear, sample_bicubic]
+SAMPLERS = [sampling.sample_nearest, sampling.sample_bilinear, sampling.sample_bicubic]
 
 
 def noise(*shape: int) -> np.ndarray:
@@ -47,7 +34,7 @@ def test_wrapped_pixels_are_found_by_walking_over_the_poles_and_around():
     image = noise(6, 8)
     row, col = (grid.ravel() for grid in np.mgrid[-6:12, -20:20])
     expected = [unwrapped(image, i, j) for i, j in zip(row, col, strict=True)]
-    np.testing.assert_array_equal(image[wrap_pixel(row, col, 6, 8)], expected)
+    np.testing.assert_array_equal(image[sampling.wrap_pixel(row, col, 6, 8)], expected)
 
 
 @pytest.mark.parametrize("sample", SAMPLERS)
@@ -67,10 +54,10 @@ def test_bilinear_equals_brute_force_across_seam_and_poles():
         upper = (1 - b) * unwrapped(image, i, j) + b * unwrapped(image, i, j + 1)
         lower = (1 - b) * unwrapped(image, i + 1, j) + b * unwrapped(image, i + 1, j + 1)
         expected.append((1 - a) * upper + a * lower)
-    np.testing.assert_allclose(sample_bilinear(image, vectors), expected, atol=1e-12)
+    np.testing.assert_allclose(sampling.sample_bilinear(image, vectors), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("sample", [sample_bilinear, sample_bicubic])
+@pytest.mark.parametrize("sample", [sampling.sample_bilinear, sampling.sample_bicubic])
 def test_interpolation_is_continuous_over_the_seam_and_the_poles(sample):
     image = noise(8, 16)
     for there, here in (
@@ -86,8 +73,8 @@ def test_bicubic_reproduces_ramps_and_parabolas_away_from_the_wraps():
     row, col = np.mgrid[:16, :32].astype(float)
     y, x = np.random.default_rng(9).uniform([3, 3], [12, 28], (100, 2)).T
     at = pixel_to_direction(y, x, (16, 32))
-    np.testing.assert_allclose(sample_bicubic(2 * row - 3 * col, at), 2 * y - 3 * x, atol=1e-9)
-    np.testing.assert_allclose(sample_bicubic(row**2 + 0.5 * col**2, at), y**2 + 0.5 * x**2, atol=1e-9)
+    np.testing.assert_allclose(sampling.sample_bicubic(2 * row - 3 * col, at), 2 * y - 3 * x, atol=1e-9)
+    np.testing.assert_allclose(sampling.sample_bicubic(row**2 + 0.5 * col**2, at), y**2 + 0.5 * x**2, atol=1e-9)
 
 
 @pytest.mark.parametrize("sample", SAMPLERS)
@@ -103,7 +90,7 @@ def test_numpy_and_torch_agree(sample):
     np.testing.assert_allclose(sample(torch.from_numpy(image), torch.from_numpy(vectors)), sample(image, vectors))
 
 
-@pytest.mark.parametrize("sample", [sample_bilinear, sample_bicubic])
+@pytest.mark.parametrize("sample", [sampling.sample_bilinear, sampling.sample_bicubic])
 def test_gradients_are_those_of_finite_differences(sample):
     image = torch.from_numpy(noise(6, 12, 2)).requires_grad_()
     vectors = torch.tensor([[0.3, 0.4, -0.5], [0.01, -0.2, 0.9], [-0.7, 0.1, 0.33]], dtype=torch.float64)
@@ -116,7 +103,7 @@ def test_gradients_are_those_of_finite_differences(sample):
 def test_pixels_where_rows_and_columns_cross_are_those(rows, cols, channels):
     """In equal steps and others, with and without channels, and in memory of their own, row after row."""
     image = np.random.default_rng(0).random((7, 12, *channels))
-    found = grid_subsample(image, np.array(rows), np.array(cols))
+    found = sampling.grid_subsample(image, np.array(rows), np.array(cols))
     np.testing.assert_array_equal(found, [[image[row, col] for col in cols] for row in rows])
     assert found.flags.c_contiguous
 
@@ -126,7 +113,7 @@ def test_pixels_where_rows_and_columns_cross_are_those(rows, cols, channels):
 def test_a_border_is_found_by_walking_over_the_poles_and_around(shape, border):
     image = noise(*shape)
     height, width = shape[:2]
-    bordered = add_border(image, border)
+    bordered = sampling.add_border(image, border)
     assert bordered.shape[:2] == (height + 2 * border, width + 2 * border)
     for row, col in np.ndindex(bordered.shape[:2]):
         np.testing.assert_array_equal(bordered[row, col], unwrapped(image, row - border, col - border))
@@ -137,7 +124,7 @@ def test_a_border_is_found_by_walking_over_the_poles_and_around(shape, border):
 def test_added_columns_are_those_of_the_other_side(shape, columns):
     image = noise(*shape)
     expected = image[:, np.arange(-columns, shape[1] + columns) % shape[1]]
-    np.testing.assert_array_equal(add_columns(image, columns), expected)
+    np.testing.assert_array_equal(sampling.add_columns(image, columns), expected)
 
 
 @pytest.mark.parametrize("turn", [1, 5, 11])
@@ -147,14 +134,14 @@ def test_a_turned_image_is_filtered_as_if_it_were_not_turned(turn):
     def blur(wide: np.ndarray) -> np.ndarray:
         return cv2.blur(wide, (5, 3))
 
-    there = filter_across_seam(blur, np.roll(image, turn, axis=1), 2)
-    np.testing.assert_allclose(there, np.roll(filter_across_seam(blur, image, 2), turn, axis=1), atol=1e-12)
-    assert np.abs(blur(image)[:, 0] - filter_across_seam(blur, image, 2)[:, 0]).max() > 0.01
+    there = sampling.filter_across_seam(blur, np.roll(image, turn, axis=1), 2)
+    np.testing.assert_allclose(there, np.roll(sampling.filter_across_seam(blur, image, 2), turn, axis=1), atol=1e-12)
+    assert np.abs(blur(image)[:, 0] - sampling.filter_across_seam(blur, image, 2)[:, 0]).max() > 0.01
 
 
 def test_an_image_that_needs_nothing_from_over_the_seam_is_filtered_as_it_is():
     image = noise(4, 6)
-    np.testing.assert_array_equal(filter_across_seam(np.negative, image, 0), -image)
+    np.testing.assert_array_equal(sampling.filter_across_seam(np.negative, image, 0), -image)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32, np.float64])
@@ -167,8 +154,8 @@ def test_window_extremes_equal_brute_force_across_the_seam(dtype, shape, reach):
     for row, col in np.ndindex(height, width):
         rows = slice(max(row - reach, 0), row + reach + 1)
         window = image[rows][:, np.arange(col - reach, col + reach + 1) % width]
-        np.testing.assert_array_equal(window_max(image, reach)[row, col], window.max(axis=(0, 1)))
-        np.testing.assert_array_equal(window_min(image, reach)[row, col], window.min(axis=(0, 1)))
+        np.testing.assert_array_equal(sampling.window_max(image, reach)[row, col], window.max(axis=(0, 1)))
+        np.testing.assert_array_equal(sampling.window_min(image, reach)[row, col], window.min(axis=(0, 1)))
 
 
 @pytest.mark.parametrize(("is_diagonal", "count"), [(True, 1), (False, 3)])
@@ -193,7 +180,7 @@ def test_turning_changes_no_region(is_diagonal: bool) -> None:
 @pytest.mark.parametrize("index", [0, 7, 60, 130, 180])
 def test_both_cameras_mean_the_same_direction_of_the_world(index: int) -> None:
     source, target = rotations()[index], rotations()[-1 - index]
-    in_world = rotated_directions(SIZE, source, target) @ source.T
+    in_world = sampling.rotated_directions(SIZE, source, target) @ source.T
     np.testing.assert_allclose(in_world, pixel_directions(*SIZE) @ target.T, atol=1e-12)
 
 
@@ -201,15 +188,15 @@ def test_both_cameras_mean_the_same_direction_of_the_world(index: int) -> None:
 def test_looking_further_to_the_right_moves_what_is_seen_to_the_left(columns: int) -> None:
     image, target = noise(*SIZE, 3), rotation_from_heading(columns / SIZE[1] * 2 * np.pi)
     np.testing.assert_allclose(
-        rotated_image(image, np.eye(3), target, SIZE), np.roll(image, -columns, axis=1), atol=1e-5
+        sampling.rotated_image(image, np.eye(3), target, SIZE), np.roll(image, -columns, axis=1), atol=1e-5
     )
 
 
 def test_a_larger_panorama_is_averaged_over_areas_and_a_smaller_one_is_not() -> None:
     image = noise(64, 128, 3)
     means = image.reshape(16, 4, 32, 4, 3).mean(axis=(1, 3))
-    np.testing.assert_allclose(rotated_image(image, np.eye(3), np.eye(3), SIZE), means, atol=1e-5)
-    np.testing.assert_allclose(rotated_image(image, np.eye(3), np.eye(3), (64, 128)), image, atol=1e-5)
+    np.testing.assert_allclose(sampling.rotated_image(image, np.eye(3), np.eye(3), SIZE), means, atol=1e-5)
+    np.testing.assert_allclose(sampling.rotated_image(image, np.eye(3), np.eye(3), (64, 128)), image, atol=1e-5)
 
 
 def test_what_is_seen_lies_where_it_belongs() -> None:
@@ -218,7 +205,7 @@ def test_what_is_seen_lies_where_it_belongs() -> None:
     azimuth = 1.0
     row, col = direction_to_pixel(angles_to_direction(np.array(azimuth), np.array(np.pi / 2)), (64, 128))
     image[int(row) : int(row) + 2, round(float(col)) - 1 : round(float(col)) + 2] = 1.0
-    seen = rotated_image(image, np.eye(3), rotation_from_heading(azimuth), (64, 128))[..., 0]
+    seen = sampling.rotated_image(image, np.eye(3), rotation_from_heading(azimuth), (64, 128))[..., 0]
     assert seen.min() >= 0.0
     assert seen.max() <= 1.0
     rows, cols = np.nonzero(seen > 0.5)
@@ -245,7 +232,7 @@ def smooth(channels: int) -> np.ndarray:
 @pytest.mark.parametrize("channels", [1, 3])
 def test_interpolation_is_that_of_the_plain_form(channels: int) -> None:
     image, looked = smooth(channels), RemapTable.for_directions(looked_directions(), REMAP_SIZE)
-    pairs = ((looked.bilinear, sample_bilinear, 0.02), (looked.bicubic, sample_bicubic, 0.05))
+    pairs = ((looked.bilinear, sampling.sample_bilinear, 0.02), (looked.bicubic, sampling.sample_bicubic, 0.05))
     for read, plain, tolerance in pairs:
         np.testing.assert_allclose(
             read(image).reshape(40, 50, channels), plain(image, looked_directions()), atol=tolerance
@@ -255,7 +242,7 @@ def test_interpolation_is_that_of_the_plain_form(channels: int) -> None:
 def test_the_nearest_pixel_is_that_of_the_plain_form() -> None:
     """But for places within a thirtieth of a pixel of the line between two."""
     image = np.arange(REMAP_SIZE[0] * REMAP_SIZE[1], dtype=np.float32).reshape(REMAP_SIZE)
-    is_same = RemapTable.for_directions(looked_directions(), REMAP_SIZE).nearest(image) == sample_nearest(
+    is_same = RemapTable.for_directions(looked_directions(), REMAP_SIZE).nearest(image) == sampling.sample_nearest(
         image, looked_directions()
     )
     assert is_same.mean() > 0.9

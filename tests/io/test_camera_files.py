@@ -16,13 +16,10 @@ from omnisyn_cli.io import read_header, read_mask, read_panorama, write_image
 from omnisyn_cli.io.colour import parse_profile
 from omnisyn_cli.io.placement import Reading
 
+# XYZ under D50 of Display P3's primaries, as Apple's profile has them (columns: red, green, blue).
 P3 = np.array([[0.51512, 0.29198, 0.15710], [0.24120, 0.69225, 0.06657], [-0.00105, 0.04189, 0.78407]])
-"""XYZ under D50 of Display P3's primaries, as Apple's profile has them (columns: red, green, blue)."""
-
 ADOBE = np.array([[0.60974, 0.20528, 0.14919], [0.31111, 0.62567, 0.06322], [0.01947, 0.06087, 0.74457]])
-
 SRGB = np.array([[0.43607, 0.38515, 0.14307], [0.22249, 0.71687, 0.06061], [0.01392, 0.09708, 0.71410]])
-
 SRGB_CURVE = (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
 
 
@@ -44,9 +41,7 @@ def icc_profile(columns: np.ndarray, curve: bytes) -> bytes:
 
 
 SRGB_LIKE = b"para\0\0\0\0" + struct.pack(">HH", 3, 0) + fixed(*SRGB_CURVE)
-
 GAMMA_22 = b"curv\0\0\0\0" + struct.pack(">IH", 1, round(2.19921875 * 256))
-
 PROFILES = {"p3": icc_profile(P3, SRGB_LIKE), "adobe": icc_profile(ADOBE, GAMMA_22)}
 
 
@@ -58,7 +53,6 @@ XYZ_UNDER_D65 = {
     "p3": [[0.4865709, 0.2656677, 0.1982173], [0.2289746, 0.6917385, 0.0792869], [0, 0.0451134, 1.0439444]],
     "adobe": [[0.5767309, 0.185554, 0.1881852], [0.2973769, 0.6273491, 0.0752741], [0.0270343, 0.0706872, 0.9911085]],
 }
-
 SRGB_OF_XYZ = [
     [3.2404542, -1.5371385, -0.4985314],
     [-0.969266, 1.8760108, 0.041556],

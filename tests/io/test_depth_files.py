@@ -45,8 +45,8 @@ def test_a_renderers_far_away_is_infinity(tmp_path):
     assert np.isinf(read_depth(tmp_path / "d.exr")).all()
 
 
+# Top, left, height and width of data windows within, around, across and beside :func:`some_depth`.
 WINDOWS = [(2, 0, 5, 16), (0, 3, 8, 9), (3, 4, 1, 1), (-1, -2, 10, 20), (-2, 5, 6, 30), (6, -3, 4, 8), (9, 0, 2, 16)]
-"""Top, left, height and width of data windows within, around, across and beside :func:`some_depth`."""
 
 
 def write_windowed(path: Path, window: tuple[int, int, int, int], beyond: float = 5.0) -> np.ndarray:

@@ -20,7 +20,6 @@ from process_limits import file_size_limit
 AWKWARD_NAMES = [
     "with space.png", 'it\'s "quoted".png', "-leading-dash.png", "ünï日本🌍.png", "100%06d.png", "a?b=c&d.png",
 ]  # fmt: skip
-
 DAMAGE = {"a.jpg": {}, "p.jpg": {"jpeg:progressive": 1}, "a.png": {}, "a.tif": {}, "a.exr": {}, "a.webp": {}}
 
 

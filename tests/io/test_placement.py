@@ -14,9 +14,7 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.io.decode import ImageHeader
 from omnisyn_cli.io.placement import Placement, placement_of
 
-ROUNDINGS = (round, math.floor, math.ceil)
-"""How programs make whole pixels of a scaled height and width."""
-
+ROUNDINGS = (round, math.floor, math.ceil)  # How programs make whole pixels of a scaled height and width.
 Crop = tuple[int, int, int, int, int]
 
 

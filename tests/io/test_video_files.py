@@ -22,12 +22,9 @@ PATCHES = np.array(
     [[255, 0, 0], [0, 255, 0], [0, 0, 255], [250, 200, 30], [30, 60, 90], [128, 128, 128], [255, 255, 255], [0, 0, 0]],
     np.uint8,
 )
-
 FRAME = np.broadcast_to(np.repeat(PATCHES, 32, axis=0), (128, 256, 3))
-
 KINDS = [("h264", ".mp4", "uint8"), ("h265", ".mp4", "uint8"), ("h265", ".mov", "uint16"), ("av1", ".mp4", "uint8"),
          ("av1", ".mp4", "uint16"), ("prores", ".mov", "uint8"), ("prores", ".mov", "uint16")]  # fmt: skip
-
 FAST = {"h264": "ultrafast", "h265": "ultrafast", "av1": "12", "prores": "hq"}
 
 
@@ -69,7 +66,6 @@ def content(path: Path, *kinds: bytes) -> bytes:
 
 
 MEDIA = (b"moov", b"trak", b"mdia")
-
 SAMPLES = (*MEDIA, b"minf", b"stbl")
 
 
@@ -159,30 +155,28 @@ def write_many(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, count
             sink.write(np.zeros((32, 64, 3), np.uint8))
 
 
-def test_the_encoders_own_words_reach_the_user(tmp_path, monkeypatch):
-    script = "sys.stdin.buffer.read(10)\nsys.exit('level 9.9 is not supported')"
-    with pytest.raises(EncodingError, match=r"level 9\.9 is not supported"):
-        write_many(tmp_path, monkeypatch, script)
+@pytest.mark.parametrize(
+    ("script", "kind", "words"),
+    [
+        ("read(10)\nsys.exit('level 9.9 is not supported')", EncodingError, r"level 9\.9 is not supported"),
+        (
+            "read()\nopen(sys.argv[1], 'w').write('half')\nsys.exit('muxer lost its mind')",
+            EncodingError,
+            "lost its mind",
+        ),
+        ("read(10)\nsys.exit('av_interleaved_write_frame(): No space left on device')", WriteError, "No space left"),
+        # a talkative one does not block
+        (
+            "read(1)\nsys.stderr.write('blah\\n' * 400_000)\nread()\nsys.exit('enough said')",
+            EncodingError,
+            "enough said",
+        ),
+    ],
+)
+def test_what_an_encoder_says_at_its_end_reaches_the_user(tmp_path, monkeypatch, script, kind, words):
+    with pytest.raises(kind, match=words):
+        write_many(tmp_path, monkeypatch, f"read = sys.stdin.buffer.read\n{script}")
     assert not list((tmp_path / "out").iterdir())
-
-
-def test_a_bad_exit_after_the_last_frame_is_an_error(tmp_path, monkeypatch):
-    script = "sys.stdin.buffer.read()\nopen(sys.argv[1], 'w').write('half')\nsys.exit('muxer lost its mind')"
-    with pytest.raises(EncodingError, match="muxer lost its mind"):
-        write_many(tmp_path, monkeypatch, script)
-    assert not list((tmp_path / "out").iterdir())
-
-
-def test_a_talkative_encoder_does_not_block(tmp_path, monkeypatch):
-    script = "sys.stderr.write('blah blah\\n' * 200_000)\nsys.stdin.buffer.read()\nsys.exit('enough said')"
-    with pytest.raises(EncodingError, match="enough said"):
-        write_many(tmp_path, monkeypatch, script)
-
-
-def test_a_full_disk_is_a_write_error(tmp_path, monkeypatch):
-    script = "sys.stdin.buffer.read(10)\nsys.exit('av_interleaved_write_frame(): No space left on device')"
-    with pytest.raises(WriteError, match="No space left"):
-        write_many(tmp_path, monkeypatch, script)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals")

@@ -18,7 +18,6 @@ from omnisyn_cli.poses.formats import import_poses
 from omnisyn_cli.poses.formats.files import ImportOptions
 
 SIZE = (21, 40)
-
 CROP = {
     "GPano:UsePanoramaViewer": "True",
     "GPano:ProjectionType": "equirectangular",
@@ -32,7 +31,6 @@ CROP = {
     "GPano:PosePitchDegrees": "-2",
     "GPano:StitchingSoftware": "Hugin &amp; &#228;hnliche",
 }
-
 FORMS = ("attributes", "elements")
 
 

@@ -153,6 +153,7 @@ def _each(change: Callable[[Pose], Pose]) -> Callable[[Pose, Pose], tuple[Pose, 
     return lambda first, second: (change(first), change(second))
 
 
+# By the name of the mistake: right poses written down wrongly, spelt out differently from the corrections.
 MADE: dict[str, Callable[[Pose, Pose], tuple[Pose, Pose]]] = {
     "world-to-camera": _each(_inverted), "opencv-extrinsics": _each(lambda pose: _inverted(_opencv(pose))),
     "rotation-transposed": _each(lambda pose: Pose(pose.rotation.T, pose.position)),
@@ -166,4 +167,3 @@ MADE: dict[str, Callable[[Pose, Pose], tuple[Pose, Pose]]] = {
     "position-negated": _each(lambda pose: Pose(pose.rotation, -pose.position)),
     "quaternion-order": _each(_scalar_last), "degrees-for-radians": _each(_degrees_taken_for_radians),
 }  # fmt: skip
-"""By the name of the mistake: right poses written down wrongly, spelt out differently from the corrections."""

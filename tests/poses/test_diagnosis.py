@@ -149,16 +149,15 @@ RENDERED = ("carla-pair", "warehouse_0", "warehouse_1", "warehouse_2")
 measured = pytest.mark.skipif(not DATA.is_dir(), reason=f"needs the measured scenes in {DATA}")
 every_pair = pytest.mark.parametrize("scene", PHOTOGRAPHS + RENDERED)
 
+# Another world: the data has its first cameras at the origin, where many mistakes change nothing.
 WORLD = Pose(rotation_from_rotation_vector(np.array([0.3, 1.1, -0.2])), np.array([4.0, 1.5, -7.0]))
-"""Another world: the data has its first cameras at the origin, where many mistakes change nothing."""
-
 FREQUENT = (
     "world-to-camera", "opencv-extrinsics", "images-swapped", "centre-at-edge", "mirrored-x", "position-yz-swapped",
     "quaternion-order", "degrees-for-radians",
 )  # fmt: skip
 
+# Its given pose, straight up without a turn, is less accurate than the estimate: its residual is five times larger.
 NOMINAL = "vertical-stairs"
-"""Its given pose, straight up without a turn, is less accurate than the estimate: its residual is five times larger."""
 
 
 @lru_cache(maxsize=8)

@@ -9,35 +9,27 @@ from registration_samples import PIXEL, chain, edges_of
 
 from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import UP
+from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
-from omnisyn_cli.poses.registration.pose_graph import (
-    agreeing_edges,
-    average_rotations,
-    baseline_lengths,
-    consistent_edges,
-    placed_panoramas,
-    positions_of,
-    shortest_path,
-)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.2 * PIXEL])
 def test_lengths_along_a_chain_follow_from_shared_points(noise):
     poses, pairs = chain(), [(0, 1), (1, 2), (2, 3), (3, 4)]
     edges = edges_of(poses, pairs, noise)
-    lengths, is_told = baseline_lengths(edges, {})
+    lengths, is_told = pose_graph.baseline_lengths(edges, {})
     assert is_told.all()
     true = np.array([np.linalg.norm(poses[b].position - poses[a].position) for a, b in pairs])
     np.testing.assert_allclose(lengths / lengths.mean(), true / true.mean(), rtol=1e-3 if noise == 0.0 else 0.03)
-    np.testing.assert_allclose(baseline_lengths(edges, {(1, 2): true[1]})[0][1], true[1], rtol=1e-3)
+    np.testing.assert_allclose(pose_graph.baseline_lengths(edges, {(1, 2): true[1]})[0][1], true[1], rtol=1e-3)
 
 
 def test_a_set_is_placed_as_it_stands():
     poses = chain()
     edges = edges_of(poses, [(0, 1), (1, 2), (2, 3), (3, 4), (0, 2), (1, 3), (2, 4)])
-    rotations = average_rotations(edges, range(5))
+    rotations = pose_graph.average_rotations(edges, range(5))
     given = {(0, 1): float(np.linalg.norm(poses[1].position))}
-    found = positions_of(edges, *baseline_lengths(edges, given), rotations)
+    found = pose_graph.positions_of(edges, *pose_graph.baseline_lengths(edges, given), rotations)
     for k in range(5):
         assert rotation_angle((poses[0].rotation.T @ poses[k].rotation).T @ rotations[k]) < 1e-6
         np.testing.assert_allclose(found[k], poses[0].rotation.T @ poses[k].position, atol=5e-3)
@@ -49,8 +41,8 @@ def test_a_pair_that_contradicts_the_others_is_dropped():
     *right, wrong = edges_of(poses, [*pairs, (0, 4)])
     half_turned = Pose(rotation_from_rotation_vector(np.pi * UP), np.zeros(3)) @ wrong.estimate.first_from_second
     wrong = replace(wrong, estimate=replace(wrong.estimate, first_from_second=half_turned))
-    rotations = average_rotations([*right, wrong], range(5))
-    assert consistent_edges([*right, wrong], rotations) == right
+    rotations = pose_graph.average_rotations([*right, wrong], range(5))
+    assert pose_graph.consistent_edges([*right, wrong], rotations) == right
     for k in range(5):
         assert rotation_angle((poses[0].rotation.T @ poses[k].rotation).T @ rotations[k]) < np.radians(0.01)
 
@@ -65,9 +57,9 @@ def test_a_pair_that_is_shifted_along_repeated_tiles_is_dropped(shift, is_ordere
     if shift is None:
         turn = Pose(wrong.estimate.first_from_second.rotation, np.zeros(3))
         wrong = replace(wrong, estimate=replace(wrong.estimate, first_from_second=turn, have_same_position=True))
-    rotations = average_rotations([*right, wrong], range(5))
-    assert agreeing_edges([wrong, *right], rotations, is_ordered=is_ordered) == right
-    assert agreeing_edges(right, rotations, is_ordered=is_ordered) == right
+    rotations = pose_graph.average_rotations([*right, wrong], range(5))
+    assert pose_graph.agreeing_edges([wrong, *right], rotations, is_ordered=is_ordered) == right
+    assert pose_graph.agreeing_edges(right, rotations, is_ordered=is_ordered) == right
 
 
 @pytest.mark.parametrize("culprit", range(3))
@@ -80,18 +72,18 @@ def test_of_pairs_that_contradict_the_one_with_matches_for_the_right_pose_is_dro
     (wrong,) = edges_of(moved, [pairs[culprit]])
     right = [edge for edge in edges if edge is not edges[culprit]]
     edges[culprit] = replace(wrong, others=edges[culprit].matches)
-    assert agreeing_edges(edges, average_rotations(edges, range(3)), is_ordered=False) == right
+    assert pose_graph.agreeing_edges(edges, pose_graph.average_rotations(edges, range(3)), is_ordered=False) == right
 
 
 def test_who_is_connected_with_nobody_is_not_placed():
-    assert placed_panoramas(edges_of(chain(), [(1, 2), (2, 4)]), 5) == [1, 2, 4]
-    assert placed_panoramas([], 3) == [0]
+    assert pose_graph.placed_panoramas(edges_of(chain(), [(1, 2), (2, 4)]), 5) == [1, 2, 4]
+    assert pose_graph.placed_panoramas([], 3) == [0]
 
 
 def test_the_order_of_an_unordered_line_is_found():
     poses, order = chain(), [3, 0, 4, 1, 2]
     shuffled = {order[k]: pose.position for k, pose in enumerate(poses)}
-    assert shortest_path(shuffled, []) in (order, order[::-1])
+    assert pose_graph.shortest_path(shuffled, []) in (order, order[::-1])
 
 
 PAIRS = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 2)]

@@ -9,6 +9,7 @@ from registration_samples import PIXEL, matches_of, random_pair, random_pose, se
 from confidence_samples import generated_views
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import UP
+from omnisyn_cli.poses.registration import robust
 from omnisyn_cli.poses.registration import scan as scans
 from omnisyn_cli.poses.registration.diagnosis import diagnose
 from omnisyn_cli.poses.registration.features import Matches
@@ -24,13 +25,6 @@ from omnisyn_cli.poses.registration.least_squares import (
     uncertainty,
 )
 from omnisyn_cli.poses.registration.minimal_solvers import essential_candidates, poses_of_essential
-from omnisyn_cli.poses.registration.robust import (
-    MIN_MATCHES,
-    Verticals,
-    estimate_relative_pose,
-    inlier_threshold,
-    log_false_alarms,
-)
 from omnisyn_cli.stereo.dense_agreement import dense_agreement
 from omnisyn_cli.types import View
 
@@ -39,7 +33,7 @@ from omnisyn_cli.types import View
 @pytest.mark.parametrize("seed", range(3))
 def test_the_truth_is_found_among_wrong_matches(seed, wrong):
     first, second, matches = random_pair(seed, 400, wrong=wrong)
-    estimate, truth = estimate_relative_pose(matches), relative_pose(first, second)
+    estimate, truth = robust.estimate_relative_pose(matches), relative_pose(first, second)
     assert rotation_error(estimate.first_from_second, truth) < 6 * estimate.uncertainty.rotation < np.radians(0.3)
     assert direction_error(estimate.first_from_second, truth) < 6 * estimate.uncertainty.direction < np.radians(1.0)
     assert abs(estimate.inliers.mean() - (1 - wrong)) < 0.1
@@ -50,7 +44,7 @@ def test_points_on_one_plane_are_enough():
     pose = Pose(rotation_from_rotation_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.2, 0.3]))
     exact = seen(Pose.identity(), pose, world_points(rng, 300, "plane"))
     matches = Matches(exact.first, unit(exact.second + rng.normal(size=(300, 3)) * 0.1 * PIXEL), PIXEL)
-    estimate = estimate_relative_pose(matches)
+    estimate = robust.estimate_relative_pose(matches)
     assert rotation_error(estimate.first_from_second, relative_pose(Pose.identity(), pose)) < np.radians(0.1)
 
 
@@ -59,7 +53,7 @@ def test_one_place_is_recognised(metres):
     rng = np.random.default_rng(1)
     turn = rotation_from_rotation_vector(np.array([0.2, -1.4, 0.1]))
     second = Pose(turn, np.array([metres, 0.0, 0.0]))
-    estimate = estimate_relative_pose(matches_of(rng, Pose.identity(), second, noise=0.2 * PIXEL, wrong=0.3))
+    estimate = robust.estimate_relative_pose(matches_of(rng, Pose.identity(), second, noise=0.2 * PIXEL, wrong=0.3))
     assert estimate.have_same_position
     assert not estimate.first_from_second.position.any()
     assert rotation_error(estimate.first_from_second, second) < np.radians(0.1)
@@ -68,7 +62,7 @@ def test_one_place_is_recognised(metres):
 def test_one_picture_twice_is_one_place():
     """All samples of equal directions are degenerate: no essential matrix follows from them."""
     directions = unit(np.random.default_rng(3).normal(size=(200, 3)))
-    estimate = estimate_relative_pose(Matches(directions, directions, PIXEL))
+    estimate = robust.estimate_relative_pose(Matches(directions, directions, PIXEL))
     assert estimate.have_same_position
     assert rotation_error(estimate.first_from_second, Pose.identity()) < 1e-6
 
@@ -76,14 +70,14 @@ def test_one_picture_twice_is_one_place():
 def test_noise_alone_has_no_pose():
     rng = np.random.default_rng(2)
     noise = Matches(unit(rng.normal(size=(300, 3))), unit(rng.normal(size=(300, 3))), PIXEL)
-    assert estimate_relative_pose(noise) is None
-    assert estimate_relative_pose(noise.select(np.arange(MIN_MATCHES - 1))) is None
-    assert estimate_relative_pose(noise.select(np.arange(0))) is None
+    assert robust.estimate_relative_pose(noise) is None
+    assert robust.estimate_relative_pose(noise.select(np.arange(robust.MIN_MATCHES - 1))) is None
+    assert robust.estimate_relative_pose(noise.select(np.arange(0))) is None
 
 
 def test_equal_matches_give_equal_poses():
     matches = random_pair(3, noise=0.3 * PIXEL, wrong=0.5)[2]
-    a, b = (estimate_relative_pose(matches) for _ in range(2))
+    a, b = (robust.estimate_relative_pose(matches) for _ in range(2))
     np.testing.assert_array_equal(a.first_from_second.rotation, b.first_from_second.rotation)
     np.testing.assert_array_equal(a.first_from_second.position, b.first_from_second.position)
 
@@ -96,8 +90,8 @@ def test_refining_brings_three_degrees_back(seed):
     step = np.concatenate([unit(rng.normal(size=3)), unit(rng.normal(size=2))]) * np.radians(3.0)
     disturbed = retract(truth, step)
     assert rotation_error(disturbed, truth) == pytest.approx(np.radians(3.0))
-    refined = refine_pose(disturbed, matches, 10 * inlier_threshold(matches))
-    refined = refine_pose(refined, matches, inlier_threshold(matches))
+    refined = refine_pose(disturbed, matches, 10 * robust.inlier_threshold(matches))
+    refined = refine_pose(refined, matches, robust.inlier_threshold(matches))
     assert rotation_error(refined, truth) < np.radians(0.05)
     assert direction_error(refined, truth) < np.radians(0.3)
 
@@ -127,9 +121,9 @@ def test_a_known_pose_wins_that_is_less_likely_by_chance():
     parts = [seen(Pose.identity(), pose, points) for pose, points in ((right, crowds), (wrong, alone))]
     matches = Matches(*(np.concatenate([getattr(part, end) for part in parts]) for end in ("first", "second")), PIXEL)
     for known in ((right,), (wrong, right)):
-        estimate = estimate_relative_pose(matches, known)
+        estimate = robust.estimate_relative_pose(matches, known)
         assert direction_error(estimate.first_from_second, right) < np.radians(1.0)
-    alone_found = estimate_relative_pose(matches)
+    alone_found = robust.estimate_relative_pose(matches)
     assert direction_error(alone_found.first_from_second, wrong) < np.radians(1.0)
 
 
@@ -141,10 +135,10 @@ def test_upright_cameras_need_fewer_matches_that_lie_apart():
     right = seen(Pose.identity(), second, ends + rng.uniform(-1.2, 1.2, (40, 3)))
     wrong = unit(rng.normal(size=(2, 60, 3)))
     matches = Matches(np.concatenate([right.first, wrong[0]]), np.concatenate([right.second, wrong[1]]), PIXEL)
-    estimate = estimate_relative_pose(matches, verticals=Verticals(up, up, are_certain=True))
+    estimate = robust.estimate_relative_pose(matches, verticals=robust.Verticals(up, up, are_certain=True))
     assert direction_error(estimate.first_from_second, second) < np.radians(3.0)
-    kinds = [None, Verticals(up, -up, are_certain=True), Verticals(up, up, are_certain=False)]
-    general, contradicting, level = (log_false_alarms(second, matches, kind) for kind in kinds)
+    kinds = [None, robust.Verticals(up, -up, are_certain=True), robust.Verticals(up, up, are_certain=False)]
+    general, contradicting, level = (robust.log_false_alarms(second, matches, kind) for kind in kinds)
     assert level < general - 4.0 < contradicting - 8.0
 
 
@@ -260,6 +254,6 @@ def test_poses_are_not_blamed_where_as_many_matches_agree_with_them() -> None:
     both = Matches(
         np.concatenate([right.first, repeated.first]), np.concatenate([right.second, repeated.second]), PIXEL
     )
-    assert estimate_relative_pose(both) is not None
+    assert robust.estimate_relative_pose(both) is not None
     for given in (second, opposite_of(second)):
         assert diagnose(first, given, both).verdict == "fits"

@@ -14,8 +14,7 @@ from omnisyn_cli.poses.tour import Tour, chain_links, links_between
 from omnisyn_cli.poses.tour_file import read_tour
 from synthesis_samples import posed
 
-PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (4, 0, 0), "d": (2, 0, 2), "e": (2, 0, -2.5)}
-"""A crossing at b."""
+PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (4, 0, 0), "d": (2, 0, 2), "e": (2, 0, -2.5)}  # A crossing at b.
 
 
 def tour_of(folder: Path, document: dict[str, Any] | None = None, names: str = "abcde", **options: Any) -> Tour:

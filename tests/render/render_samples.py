@@ -83,8 +83,7 @@ POSES = {
 
 
 def is_unambiguous(triangles: Triangles, pose: Pose, size: tuple[int, int], margin: float = 1e-5) -> np.ndarray:
-    """Pixels whose rays pass every edge of every front face by more than ``margin`` radians, and see no two surfaces
-    at one inverse depth."""
+    """Pixels whose rays pass the edges of all front faces by more than ``margin`` radians, with one nearest surface."""
     rays = pixel_directions(*size).reshape(-1, 3)
     corners = triangles.direction @ pose.rotation.T + triangles.inverse_depth[..., None] * pose.position
     edges = np.cross(np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1))
@@ -101,5 +100,4 @@ def is_unambiguous(triangles: Triangles, pose: Pose, size: tuple[int, int], marg
 
 
 def make_renderer(name, *inputs, **more):
-    """A renderer by name, of the fields of its inputs."""
     return RENDERERS[name].load()(RendererInputs(*inputs, **more))

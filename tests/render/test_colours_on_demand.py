@@ -145,8 +145,7 @@ def test_every_renderer_can_be_asked(name):
     assert np.median(shown.source_sampler.occlusion(shown.inverse_depth, 1e-3)) == pytest.approx(0.0, abs=0.01)
 
 
-ODD_SIZE = (30, 61)
-"""An odd number of columns: tiles and vectors end inside of rows."""
+ODD_SIZE = (30, 61)  # An odd number of columns: tiles and vectors end inside of rows.
 
 
 def edge_pixels_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None = None) -> EdgePixels:

@@ -58,7 +58,6 @@ def test_gradients_are_those_of_finite_differences(cut, seed):
     rho = torch.from_numpy(0.1 + untied(rough(4, 8, seed))).double().requires_grad_()
     mesh, pose = build_mesh(rho.detach().numpy(), CUTS[cut]), random_pose(seed, 0.6)
     fragments = rasterize(mesh, pose, (5, 9))
-
     directions = (pixel_directions(5, 9) - fragments.inverse_depth[..., None] * pose.position) @ pose.rotation
     off_poles = np.hypot(directions[..., 0], directions[..., 2]) > np.linalg.norm(directions, axis=-1) * np.pi / 24
 

@@ -19,7 +19,6 @@ def builder(ground: float = -1e6) -> SceneBuilder:
 
 
 def one(shape: Shape, centre: tuple[float, ...], half: tuple[float, ...], **turn: object) -> Scene:
-    """A scene with one shape."""
     build = builder()
     build.add(shape, centre, half, Material(), **turn)
     return build.build("test")
@@ -93,10 +92,7 @@ def _roots(a: float, b: float, c: float) -> list[float]:
 
 
 def clearance(scene: Scene, positions: np.ndarray) -> np.ndarray:
-    """Lower bound in metres of the distance from each position to the nearest surface, negative inside it.
-
-    Every shape counts as its oriented box.
-    """
+    """Lower bound in metres of the distance to the nearest surface, of shapes as oriented boxes; negative inside."""
     local = np.einsum("nji,pnj->pni", scene.shapes["rotation"], positions[:, None, :] - scene.shapes["centre"])
     beyond = np.abs(local) - scene.shapes["half"]
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)

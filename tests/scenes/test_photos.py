@@ -137,7 +137,6 @@ def test_patches_of_the_ground_are_turned_and_join_smoothly(photos):
 
 
 def wall(pattern, **options):
-    """A scene with one wall in front of the camera."""
     build = builder(ground=-2.0)
     build.ground_material = Material(Pattern.PLAIN, (0.5, 0.5, 0.5))
     build.box((-2, -1.5, -3.2), (2, 1.5, -3.0), Material(pattern, (0.9, 0.1, 0.1), grain=0.0, **options))

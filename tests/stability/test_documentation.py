@@ -1,7 +1,5 @@
 """Every row of docs/stability.md names tests that exist, and every test of this folder is in it."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import lru_cache
@@ -12,11 +10,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENT = ROOT / "docs" / "stability.md"
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
-
 ROWS = [
     line for line in DOCUMENT.read_text(encoding="utf-8").splitlines() if line.startswith("| ") and "|---" not in line
 ]
-
 HERE = Path(__file__).name
 
 

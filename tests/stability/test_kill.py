@@ -1,18 +1,19 @@
 """``kill -9`` at any moment, and no room left: nothing broken has a final name, and what was there before stays."""
 
-from __future__ import annotations
-
 import json
+import os
 import random
 import shutil
+import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from stability_samples import command_line, duration, finish, kill_after, visible_files
 
+import omnisyn_cli
 from cli.cli_samples import Omnisyn
 from omnisyn_cli.errors import WriteError
 from omnisyn_cli.io import read_depth, read_panorama, write_image
@@ -20,10 +21,62 @@ from omnisyn_cli.io.placement import Reading
 from process_limits import file_size_limit
 from synthesis_samples import as_bytes, posed, write_hall
 
+SOURCES = str(Path(omnisyn_cli.__file__).parents[1])
+TESTS = str(Path(__file__).resolve().parents[1])
+LONGEST = 300.0  # Seconds that a small command may take on a busy machine.
+
+
+def command_line(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "omnisyn_cli", *map(str, arguments)]
+
+
+def start(command: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
+    """A process in a folder, with the package of this checkout."""
+    path = os.pathsep.join([SOURCES, TESTS, str(Path(TESTS) / "training")])
+    variables = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(command, cwd=folder, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def finish(command: Sequence[str], folder: Path) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command that is left in peace."""
+    with start(command, folder) as process:
+        out, err = process.communicate(timeout=LONGEST)
+        return process.returncode, out.decode(), err.decode()
+
+
+def kill_after(command: Sequence[str], folder: Path, seconds: float) -> bool:
+    """Start a command and ``kill -9`` it; whether it was still at work then."""
+    with start(command, folder) as process:
+        try:
+            process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            return True
+        process.communicate()
+        return False
+
+
+def duration(command: Sequence[str], folder: Path) -> float:
+    """Seconds that a command takes here and now; it has to succeed."""
+    begin = time.monotonic()
+    code, _, err = finish(command, folder)
+    assert code == 0, err
+    return time.monotonic() - begin
+
+
+def visible_files(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder that has a final name: neither it nor a folder above it is hidden or partial."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        parts = path.relative_to(folder).parts
+        if path.is_file() and not any(part.startswith(".") or part.endswith(".partial") for part in parts):
+            found["/".join(parts)] = path.read_bytes()
+    return found
+
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="neither SIGKILL nor file size limits there")
-
 ROOM = Path(__file__).parents[2] / "examples" / "room"
-
 TRAIN = """
 import sys
 from pathlib import Path
@@ -38,8 +91,6 @@ print(train(TINY, config, Path(sys.argv[2]), steps=6).step)
 
 @dataclass(frozen=True)
 class Case:
-    """A command that writes."""
-
     prepare: Callable[[Path], object]  # makes its inputs in a folder
     command: list[str]  # of a fresh run
     again: list[str]  # of one after a kill; without --overwrite where nothing or everything is there then
@@ -81,7 +132,6 @@ INTERPOLATE = command_line(
     "interpolate", "p0.png", "p1.png", "--poses", "poses.json", "-o", "out.mp4", "--frames", 12, "--threads", 1,
     "--save-frames", "frames", "--save-depth", "depth", "--encoder-preset", "ultrafast", "-q",
 )  # fmt: skip
-
 MAKE = command_line("scenes", "make", "out", "--count", 2, "--size", "128x64", "--frames", 2, "--threads", 1, "-q")
 EVAL = command_line("eval", "scenes", "--report", "report", "--methods", "crossfade,oracle-depth", "--threads", 1, "-q")
 PAIR = ("p0.png", "p1.png", "--poses", "poses.json", "--threads", 1, "-q")
@@ -91,7 +141,6 @@ FOLDER = command_line("view", *PAIR, "-o", "walk", "--folder")
 FRAMES = command_line("interpolate", *PAIR, "-o", "frames", "--frames", 12)
 ESTIMATE = command_line("poses", "estimate", "first.png", "second.png", "--baseline", 1, "-o", "poses.json", "-q")
 BATCH = command_line("batch", "jobs.jsonl", "-o", "out", "--workers", 1, "-q")
-
 CASES = {
     "export": Case(_hall, EXPORT, EXPORT),
     "frames": Case(_hall, FRAMES, FRAMES),
@@ -137,10 +186,7 @@ def check_killed(case: Case, folder: Path, expected: dict[str, bytes]) -> None:
 
 
 def kill_and_repeat(case: Case, place: Path, kills: int, seed: int) -> None:
-    """The theorem: however often a run is killed, the last one makes what an undisturbed one makes.
-
-    A run that ends before its kill comes does not count: the next starts from nothing and is given less time.
-    """
+    """However often a run is killed, the last one makes what an undisturbed one makes; it ends before: less time."""
     calm, disturbed = place / "calm", place / "disturbed"
     for folder in (calm, disturbed):
         folder.mkdir()

@@ -3,8 +3,6 @@
 What counts is what becomes of the video: WS-PSNR of the middle frame of a room with known truth.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Iterator
@@ -33,7 +31,6 @@ from synthesis_samples import ws_psnr
 
 MODEL = "completion-balanced"
 SIZE = (128, 256)
-
 pytestmark = pytest.mark.skipif(
     not (models_folder() / f"{MODEL}.onnx").is_file(), reason=f"the model {MODEL} is not in this checkout"
 )
@@ -123,8 +120,8 @@ def integers(source: Path, target: Path, room: Room) -> None:
     )  # fmt: skip
 
 
+# How to make each, and what it may cost: median relative error of inverse depth, decibels of the picture.
 FORMS = {"fp16": (half, 0.003, 0.1), "bf16": (brain_float, 0.003, 0.1), "int8": (integers, 0.02, 0.3)}
-"""How to make each, and what it may cost: median relative error of inverse depth, decibels of the picture."""
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -1,7 +1,5 @@
 """Depth, baselines, turns, masks, samples and sizes at their extremes, from two panoramas to finished frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -32,14 +30,12 @@ PAIR = (posed((-0.5, -0.1, 0.4), 0.3), posed((0.4, 0.2, -0.3), 0.9))
 
 
 def frames(views: list[View], count: int = 5, size: tuple[int, int] = SIZE) -> list[np.ndarray]:
-    """Pictures of all frames between two views."""
     path = plan_path([view.pose for view in views], count)
     method = SurfaceMethod(KnownDepth(), SynthesisOptions(size, threads=1))
     return [frame.image.copy() for frame in synthesize(views, path, method)]
 
 
 def scaled(view: View, factor: float) -> View:
-    """The same view in a world that is larger by a factor."""
     depth = DepthEstimate((view.known_depth.inverse_depth / factor).astype(np.float32), view.known_depth.confidence)
     return View(view.image, Pose(view.pose.rotation, view.pose.position * factor), view.mask, depth)
 
@@ -77,11 +73,7 @@ def test_a_baseline_of_a_kilometre_in_a_room_gives_finite_pictures() -> None:
 
 
 def test_depths_from_a_millimetre_to_a_thousand_kilometres_in_one_picture() -> None:
-    """Neighbouring pixels nine orders of magnitude apart, sky among them: the renderer's inverse depth stays exact.
-
-    Seen from where it was taken every pixel has its own depth back, but for the two rows at the poles, whose caps are
-    never cut: there a ray through a vertex may meet the cap beside it. From elsewhere everything is a finite number.
-    """
+    """Sky among them: inverse depth stays exact, but for rows at the poles, where a ray may meet the cap beside it."""
     rng = np.random.default_rng(0)
     rho = 10.0 ** rng.uniform(-6, 3, SIZE)
     rho[rng.random(SIZE) < 0.1] = 0.0

@@ -1,7 +1,5 @@
 """Single against double precision in geometry and renderer, and gradients that keep their sign at singularities."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -16,11 +14,9 @@ from omnisyn_cli.render.rasterize_torch import render_fragments
 from reference_rasterizer import rasterize_reference
 from render.render_samples import sphere
 
-TOLERANCE = 1e-5
-"""Of inverse depth, relative."""
-
+TOLERANCE = 1e-5  # Of inverse depth, relative.
+# Around the epipoles parallax vanishes and says nothing about depth: 2° amplify rounding 30 times.
 NEAR_EPIPOLE = np.radians(2.0)
-"""Around the epipoles parallax vanishes and says nothing about depth: 2° amplify rounding 30 times."""
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,7 +1,5 @@
 """A room and a landscape whose panoramas and depths are closed formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
@@ -29,7 +27,6 @@ def texture(point: np.ndarray) -> np.ndarray:
 
 
 def room(pose: Pose, size: tuple[int, int] = SIZE, *, blank_ceiling: bool = False) -> tuple[View, np.ndarray]:
-    """View and inverse depth of a box-shaped room."""
     ray = pixel_directions(*size) @ pose.rotation.T
     with np.errstate(divide="ignore"):
         depth = ((np.sign(ray) * HALF_ROOM - pose.position) / ray).min(axis=-1)

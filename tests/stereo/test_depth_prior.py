@@ -20,8 +20,7 @@ from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.types import View
 
 SIZE = (256, 512)
-ROOM = np.array([[-7.0, -1.6, -8.0], [6.0, 1.8, 5.0]])
-"""Lower and upper corner in metres; one camera is at the origin."""
+ROOM = np.array([[-7.0, -1.6, -8.0], [6.0, 1.8, 5.0]])  # Lower and upper corner in metres; one camera is at the origin.
 POSITIONS = np.array([0.4, 0.0, 0.9]), np.array([-0.6, 0.05, -3.2])
 TILE = 0.55
 

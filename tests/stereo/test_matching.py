@@ -1,7 +1,5 @@
 """Depth by matching against closed forms, whatever it is shown; and limits to threads, which change nothing."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

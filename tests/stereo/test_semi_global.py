@@ -21,8 +21,8 @@ HEIGHT, WIDTH, LEVELS = 24, 40, 30
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
 
+# What sums may err by: costs and penalties are rounded, and on every path some of them come together.
 EIGHT_PATHS = 8 * 6 / FIXED_POINT_SCALE
-"""What sums may err by: costs and penalties are rounded, and on every path some of them come together."""
 
 
 @pytest.fixture
@@ -60,10 +60,7 @@ def path_costs(cost, grey, pixels, p1, p2, contrast):
             cheapest = min(before.values())
             jump = cheapest + p2 / (1.0 + abs(grey[pixel] - grey[last]) / contrast)
             for level, value in here.items():
-                ways = [
-                    jump,
-                    *(before[k] + p1 * abs(k - level) for k in (level - 1, level, level + 1) if k in before),
-                ]
+                ways = [jump, *(before[k] + p1 * abs(k - level) for k in (level - 1, level, level + 1) if k in before)]
                 here[level] = value + min(ways) - cheapest
         found[pixel] = before = here
         last = pixel

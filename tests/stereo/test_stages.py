@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from stereo_samples import HALF_ROOM, OPENINGS, SIZE, room
@@ -7,14 +5,7 @@ from stereo_samples import HALF_ROOM, OPENINGS, SIZE, room
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.stereo.costs import (
-    CENSUS_NOISE,
-    INVALID_COST,
-    OUT_OF_VIEW_COST,
-    census_transform,
-    cost_volume,
-    surface_cost,
-)
+from omnisyn_cli.stereo import costs
 from omnisyn_cli.stereo.filling import fill_with_planes, fitted_values, normal_equations
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
@@ -68,17 +59,19 @@ def test_bits_of_a_signature_are_neighbours_row_after_row() -> None:
     windows = np.pad(np.pad(grey, ((3, 3), (0, 0)), mode="edge"), ((0, 0), (3, 3)), mode="wrap")
     expected = np.zeros(grey.shape, np.uint64)
     for k in [k for k in range(49) if k != 24]:
-        brighter = windows[k // 7 :, k % 7 :][:9, :11] > grey + CENSUS_NOISE
+        brighter = windows[k // 7 :, k % 7 :][:9, :11] > grey + costs.CENSUS_NOISE
         expected = (expected << np.uint64(1)) | brighter.astype(np.uint64)
-    np.testing.assert_array_equal(census_transform(grey), expected)
+    np.testing.assert_array_equal(costs.census_transform(grey), expected)
 
 
 def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
     first, second = RNG.random((2, *SMALL, 3)).astype(np.float32)
     usable, zero = np.ones(SMALL, bool), np.zeros(SMALL, np.float32)
     ranges = DisparityRange.from_bounds(np.zeros(SMALL, np.int32), 5)
-    sweep = cost_volume(first, second, usable, ranges, 0.5, 0.3).reshape(*SMALL, 6)
-    surface = surface_cost(first, census_transform(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
+    sweep = costs.cost_volume(first, second, usable, ranges, 0.5, 0.3).reshape(*SMALL, 6)
+    surface = costs.surface_cost(
+        first, costs.census_transform(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3
+    )
     inside = slice(4, SMALL[0] - 10)
     np.testing.assert_allclose(surface[inside], sweep[inside, :, 4] / FIXED_POINT_SCALE, atol=0.6 / FIXED_POINT_SCALE)
 
@@ -94,12 +87,12 @@ def test_a_surface_costs_what_plain_loops_say() -> None:
             r = min(int(target), 10)
             share, seen[row, col] = target - r, usable[r, col] and usable[r + 1, col]
             warped[row, col] = (1 - share) * second[r, col] + share * second[r + 1, col]
-    own, other = census_transform(first.mean(-1)), census_transform(warped.mean(-1))
+    own, other = costs.census_transform(first.mean(-1)), costs.census_transform(warped.mean(-1))
     bits = np.unpackbits((own ^ other).view(np.uint8), axis=-1).reshape(*size, 64).sum(-1)
     colour = np.minimum(np.abs(first - warped).mean(-1) / 0.1, 1.0)
-    expected = np.where(seen, 0.7 * np.minimum(bits / 24, 1.0) + 0.3 * colour, OUT_OF_VIEW_COST)
-    found = surface_cost(first, own, second, usable, disparity, 0.3, 0.1)
-    np.testing.assert_allclose(found, np.where(disparity < 0, INVALID_COST, expected), atol=1e-5)
+    expected = np.where(seen, 0.7 * np.minimum(bits / 24, 1.0) + 0.3 * colour, costs.OUT_OF_VIEW_COST)
+    found = costs.surface_cost(first, own, second, usable, disparity, 0.3, 0.1)
+    np.testing.assert_allclose(found, np.where(disparity < 0, costs.INVALID_COST, expected), atol=1e-5)
 
 
 @pytest.mark.parametrize("is_second", [False, True])

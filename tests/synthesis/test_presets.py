@@ -245,7 +245,6 @@ def test_any_network_leaves_the_photographs_at_both_ends(models):
 
 
 def fuse_with(model, monkeypatch):
-    """Have the fusion ``network`` take another model."""
     changed = {**FUSIONS, "network": dataclasses.replace(FUSIONS["network"], model=model)}
     for module in ("fusions", "config"):
         monkeypatch.setattr(f"omnisyn_cli.pipeline.{module}.FUSIONS", changed)

@@ -25,7 +25,6 @@ BASELINES = {
 
 
 def frames_of(views: list[View], path: list[Waypoint], size: tuple[int, int] = SIZE) -> list[Frame]:
-    """All frames, each with a picture of its own."""
     made = synthesize(views, path, SurfaceMethod(KnownDepth(), SynthesisOptions(size, threads=1)))
     return [Frame(m.image.copy(), m.waypoint, m.panorama) for m in made]
 
@@ -89,11 +88,7 @@ def test_the_picture_looks_where_the_waypoint_says(heading: str) -> None:
 
 @pytest.mark.parametrize(("columns", "tolerance"), [(8, 5e-5), (40, 5e-5), (1, 3e-3), (13, 3e-3)])
 def test_rolling_both_inputs_rolls_the_output(columns: int, tolerance: float) -> None:
-    """A camera turned to the left by k columns takes the same picture k columns further to the right.
-
-    Within rounding of places between texels for whole blocks of the rasteriser, which draws almost flat blocks of quads
-    as one plane.
-    """
+    """A camera turned left by k columns sees the same k columns to the right, but for rounding of blocks of quads."""
     poses = BASELINES["sideways"]
     turn = rotation_from_heading(columns * 2 * np.pi / SIZE[1]).T
     views = [hall_view(pose) for pose in poses]

@@ -60,8 +60,6 @@ def disturbed(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
 
 
 class Counted:
-    """An estimator that counts."""
-
     def __init__(self, estimator: DepthEstimator) -> None:
         self._estimator, self.asked = estimator, 0
 

@@ -1,3 +1,5 @@
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 import torch
@@ -33,7 +35,6 @@ SIZE = (32, 64)
 
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory):
-    """Four small scenes."""
     folder = tmp_path_factory.mktemp("evidence")
     paths = [make_feature_scene(folder, seed, TiltedConfig(size=SIZE)) for seed in range(4)]
     return [path for path in paths if path is not None]
@@ -119,10 +120,7 @@ def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, 
     with pytest.raises(InputError, match=r"name without folders, got 'a/b'; choose another \(--name\)"):
         publish(checkpoint, models, name="a/b")
 
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", interrupted)
+    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         publish(checkpoint, models)
     assert list(models.iterdir()) == []

@@ -1,12 +1,21 @@
+"""Pools, the pairs that are drawn from them, and the pictures that tell how training goes."""
+
 import numpy as np
 import pytest
 import torch
-from training_samples import ball_scene, make_pool
+from training_samples import TINY, ball_scene, make_pool, make_walks
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_walk, save_samples
-from omnisyn_cli.training.pairs import draw_pairs
+from omnisyn_cli.training.loop import train
+from omnisyn_cli.training.pairs import draw_pairs, turned_depth
+from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, contact_sheet, depth_pictures
+from omnisyn_cli.training.tasks import TrainConfig
 
 
 @pytest.mark.parametrize("stride", [1, 2, 3, 4])
@@ -71,3 +80,83 @@ def test_a_scene_survives_the_disk(tmp_path):
 def test_an_empty_pool_is_an_error_that_says_what_to_do(tmp_path):
     with pytest.raises(InputError, match="omnisyn train pool"):
         list_scene_files(tmp_path)
+
+
+AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))  # second from first camera: a baseline straight ahead
+
+
+@pytest.mark.parametrize("make", [make_pool, make_walks], ids=["level", "sloped"])
+@pytest.mark.parametrize("size", [(64, 128), (64, 64), (32, 64)])
+def test_every_pair_is_photoconsistent_straight_ahead(tmp_path, size, make):
+    """From either end, mirrored or not: the root, a baseline ahead, leads to the same colour in the second image."""
+    batch = draw_pairs(list_scene_files(make(tmp_path)), np.random.default_rng(0), 12, size)
+    assert batch.first.shape == batch.second.shape == (12, 3, *size)
+    assert batch.sqrt_inv_depth.shape == (12, 1, *size)
+    assert len(set(np.round(batch.baseline.numpy(), 3))) == 3
+    for first, second, sqrt_inv_depth in zip(batch.first, batch.second, batch.sqrt_inv_depth, strict=True):
+        moved = sweep_directions(pixel_directions(*size), sqrt_inv_depth[0].double().numpy() ** 2, AHEAD)
+        seen = sample_bilinear(second.permute(1, 2, 0).double().numpy(), moved)
+        difference = np.abs(seen - first.permute(1, 2, 0).numpy()).mean()
+        assert difference < 0.02 + 0.02 * (size[0] < 64)
+        assert difference < 0.5 * (second - first).abs().mean().item()
+
+
+def test_at_edges_nothing_is_invented_and_what_is_unknown_stays_unknown():
+    sqrt_inv_depth = np.full((32, 64), 0.2, np.float32)
+    sqrt_inv_depth[:16], sqrt_inv_depth[20:24, 8:16] = 0.8, np.nan
+    rotation = rotation_from_rotation_vector(np.array([0.4, 1.0, -0.3]))
+    turned = turned_depth(sqrt_inv_depth, rotation, (32, 64))
+    found = turned[np.isfinite(turned)]
+    assert np.all(np.isclose(found, 0.2, rtol=0.06) | np.isclose(found, 0.8, rtol=0.06))
+    expected = sample_nearest(np.isnan(sqrt_inv_depth).astype(np.float32), pixel_directions(32, 64) @ rotation.T) > 0
+    assert (np.isnan(turned) == expected).mean() > 0.995
+
+
+@pytest.fixture
+def config(tmp_path):
+    pool = str(make_pool(tmp_path / "pool"))
+    return TrainConfig(pool, pool, size=(64, 128), batch=1, validate_every=2, validation_pairs=1)
+
+
+def test_pictures_show_errors_where_they_are_and_nothing_where_the_truth_is_unknown():
+    truth = np.linspace(0.1, 1.0, 32, dtype=np.float32).reshape(4, 8)
+    sqrt_inv_depth = truth.copy()
+    sqrt_inv_depth[1, 2] += 0.5
+    truth[3, 3] = np.nan
+    shown = depth_pictures(torch.full((3, 4, 8), 0.5), *map(torch.from_numpy, (sqrt_inv_depth, truth)))
+    assert list(shown) == ["input", "prediction", "truth", "error"]
+    right = np.ones((4, 8), bool)
+    right[1, 2] = right[3, 3] = False
+    np.testing.assert_array_equal(shown["prediction"][right], shown["truth"][right])
+    assert np.all(shown["truth"][3, 3] == 0)
+    brightness = shown["error"].sum(axis=-1)
+    assert brightness[1, 2] > 2
+    assert np.delete(brightness.ravel(), 8 + 2).max() < 0.1
+    far, near = shown["truth"][0, 0], shown["truth"][3, 7]
+    assert far[2] > far[0]  # blue
+    assert near[0] > near[2]  # red
+
+
+def test_a_sheet_has_two_pictures_in_a_row():
+    pictures = {name: np.full((4, 8, 3), level, np.float32) for name, level in zip("abc", (0.2, 0.5, 0.9), strict=True)}
+    sheet = contact_sheet(pictures)
+    assert sheet.shape == (2 * 4 + SHEET_GAP_PIXELS, 2 * 8 + SHEET_GAP_PIXELS, 3)
+    assert np.all(sheet[:4, :8] == np.float32(0.2))
+    assert np.all(sheet[:4, -8:] == np.float32(0.5))
+    assert np.all(sheet[-4:, :8] == np.float32(0.9))
+    assert np.all(sheet[-4:, -8:] == 0)
+
+
+def test_every_validation_leaves_a_picture(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=4)
+    names = sorted(path.name for path in (tmp_path / "run" / "pictures").iterdir())
+    assert names == ["00000002.png", "00000004.png"]
+    sheet = read_sheet(tmp_path / "run" / "pictures" / names[-1])
+    assert sheet.shape == (2 * 64 + SHEET_GAP_PIXELS, 2 * 128 + SHEET_GAP_PIXELS, 3)
+    assert sheet[:64, :128].std() > 0.05
+
+
+def read_sheet(path):
+    from omnisyn_cli.io.decode import decode_image
+
+    return decode_image(path)[1]

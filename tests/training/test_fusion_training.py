@@ -66,10 +66,7 @@ def rendering(seed, offset):
 
 
 def test_the_network_learns_on_the_picture_that_the_program_makes():
-    """The program's fusion with random answers is the picture that the loss is computed of.
-
-    But for candidates, which are read at the size of the frame.
-    """
+    """But for candidates, which are read at the size of the frame."""
     shares = np.zeros((4, *SIZE), np.float32)
     views, pictures = (rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))), []
 

@@ -22,18 +22,9 @@ from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.training import joint
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, save_checkpoint
 from omnisyn_cli.training.data import list_scene_files, save_samples
-from omnisyn_cli.training.joint import (
-    JointAnswer,
-    JointConfig,
-    JointNetwork,
-    PairPrediction,
-    channels_between,
-    filled,
-    joint_answer,
-    joint_loss,
-)
 from omnisyn_cli.training.loop import Trainer, train
 from omnisyn_cli.training.losses import network_inputs
 from omnisyn_cli.training.pairs import draw_triples, swap_cameras
@@ -42,7 +33,7 @@ from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 
 PAINTING = FusionConfig("tiny", channels=8, widths=(8, 12, 16), is_direct=True)
-JOINT = JointConfig(TINY, PAINTING)
+JOINT = joint.JointConfig(TINY, PAINTING)
 SIZE = (64, 128)
 
 
@@ -82,7 +73,7 @@ def test_planes_are_those_of_the_program(t):
         return image
 
     expected = fusion_input_channels(own, other, rule, 1.0, fill)
-    found = fusion_input_channels(as_seen(first), as_seen(second), rule, 1.0, filled).numpy()
+    found = fusion_input_channels(as_seen(first), as_seen(second), rule, 1.0, joint.filled).numpy()
     for name in (
         "FIRST_RGB",
         "SECOND_RGB",
@@ -107,7 +98,7 @@ def test_true_depth_shows_the_view_between(tmp_path):
     second = swap_cameras(drawn.sqrt_inv_depths[1])
     rho = torch.stack([drawn.sqrt_inv_depths[0], second]).squeeze(2).square()
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
-    channels = channels_between(rho, torch.ones_like(rho), textures, drawn.position)
+    channels = joint.channels_between(rho, torch.ones_like(rho), textures, drawn.position)
     assert drawn.position.unique().numel() > 1
     for begin in (channel.FIRST_RGB, channel.SECOND_RGB, channel.FUSED_RGB):
         shown = channels[:, begin : begin + 3]
@@ -131,10 +122,12 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
 
     def loss(rho):
-        channels = channels_between(rho, torch.ones_like(rho), textures, drawn.position)
+        channels = joint.channels_between(rho, torch.ones_like(rho), textures, drawn.position)
         stacked = torch.cat([rho[0], swap_cameras(rho[1])]).unsqueeze(1)
-        prediction = PairPrediction(PaperPrediction(stacked, stacked), rho, torch.ones_like(rho))
-        return joint_loss(JointAnswer(prediction, channels, network(network_inputs(network.config, channels))), drawn)
+        prediction = joint.PairPrediction(PaperPrediction(stacked, stacked), rho, torch.ones_like(rho))
+        return joint.joint_loss(
+            joint.JointAnswer(prediction, channels, network(network_inputs(network.config, channels))), drawn
+        )
 
     (gradient,) = torch.autograd.grad(loss(rho), rho)
     waves = torch.linspace(0, 2 * np.pi, SIZE[1] + 1, dtype=torch.float64)[:-1]
@@ -158,7 +151,7 @@ def test_the_picture_alone_teaches_depth(tmp_path):
     scale = torch.tensor(0.9, requires_grad=True)
     optimizer = torch.optim.Adam([scale], lr=5e-3)
     for _ in range(60):
-        channels = channels_between(scale * own, torch.ones_like(own), textures, drawn.position)
+        channels = joint.channels_between(scale * own, torch.ones_like(own), textures, drawn.position)
         optimizer.zero_grad()
         (channels[:, channel.FUSED_RGB : channel.FUSED_RGB + 3] - drawn.middle).square().mean().backward()
         optimizer.step()
@@ -167,9 +160,9 @@ def test_the_picture_alone_teaches_depth(tmp_path):
 
 def test_both_networks_are_taught_by_both_losses(tmp_path):
     """The error of the picture alone reaches the weights of the depth network."""
-    network = JointNetwork(JOINT)
+    network = joint.JointNetwork(JOINT)
     drawn = draw_triples(list_scene_files(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE)
-    answer = joint_answer(network, drawn)
+    answer = joint.joint_answer(network, drawn)
     (answer.picture - drawn.middle).abs().mean().backward()
     for part in (network.depth, network.fusion):
         total = sum(float(p.grad.abs().sum()) for p in part.parameters() if p.grad is not None)
@@ -180,7 +173,7 @@ def test_both_networks_are_taught_by_both_losses(tmp_path):
 def test_both_panoramas_are_estimated_in_one_frame():
     """Exchanging the cameras exchanges the answers."""
     torch.manual_seed(0)
-    network = JointNetwork(JOINT).eval()
+    network = joint.JointNetwork(JOINT).eval()
     first, second = torch.rand(2, 1, 3, *SIZE)
     with torch.no_grad():
         there = network(first, second).inverse_depth

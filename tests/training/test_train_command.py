@@ -47,11 +47,7 @@ def test_a_pool_that_no_network_could_learn_from_is_not_made(tmp_path, command):
 
 @pytest.mark.parametrize(
     ("variant", "pool_height", "judged_height", "multiple"),
-    [
-        ("residual", 96, 64, 64),
-        ("paper-narrow", 64, 64, 128),
-        ("paper-narrow", 128, 96, 64),
-    ],
+    [("residual", 96, 64, 64), ("paper-narrow", 64, 64, 128), ("paper-narrow", 128, 96, 64)],
 )
 def test_a_pool_of_a_size_that_the_network_cannot_halve_is_refused(
     tmp_path, variant, pool_height, judged_height, multiple

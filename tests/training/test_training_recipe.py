@@ -25,13 +25,11 @@ PLAN = Recipe(
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
-    """Small networks, and walks within a ball."""
     monkeypatch.setitem(TASKS["guided"].variants, "small", SMALL)
     monkeypatch.setattr(recipe, "make_walk", lambda seed, _: ball_walk(seed))
 
 
 def same(one, other):
-    """Whether two states are equal, bit for bit."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, (list, tuple)):

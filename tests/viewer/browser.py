@@ -18,18 +18,13 @@ from omnisyn_cli.interpolation.viewer.serve import served
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-
 QUIET = (
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync",
 )  # fmt: skip
 
-MINUTES = 120_000
-"""Milliseconds: busy machines draw slowly."""
-
-FACES = ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90))
-"""Degrees to the right and upwards."""
-
+MINUTES = 120_000  # Milliseconds: busy machines draw slowly.
+FACES = ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90))  # Degrees to the right and upwards.
 CAPTURE = """async ([pose, fov, size]) => {
   const picture = await omnisyn.capture(pose, fov, size);
   const text = (values) => {
@@ -42,8 +37,7 @@ CAPTURE = """async ([pose, fov, size]) => {
 }"""
 
 
-Launch = Callable[..., AbstractContextManager[Any]]
-"""Opens a browser with switches; by default with WebGL in software."""
+Launch = Callable[..., AbstractContextManager[Any]]  # Opens a browser with switches; by default with WebGL in software.
 
 
 def launcher(driver: Any) -> Launch:

@@ -29,11 +29,11 @@ from viewer.browser import MINUTES, Launch
 
 WIDTH, HEIGHT = 720, 400
 TOLERANCE_DEG = 0.5
-
 PANNELLUM_LINK = (
     "(id) => viewer.getConfig().hotSpots.find((spot) => (spot.sceneId ?? spot.clickHandlerArgs?.target) === id)"
 )
 
+# What every viewer calls what is done here.
 JAVASCRIPT = {
     "pannellum": {
         "ready": "typeof viewer !== 'undefined' && viewer && viewer.isLoaded()"
@@ -77,7 +77,6 @@ JAVASCRIPT = {
         "texts": "[...document.querySelectorAll('.mark')].map((mark) => mark.textContent)",
     },
 }
-"""What every viewer calls what is done here."""
 
 
 KEEP_VIDEOS = """
@@ -109,8 +108,6 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 @dataclass
 class Shown:
-    """A site in its viewer."""
-
     page: Any
     script: dict[str, str]
     requests: list[str]
@@ -269,7 +266,6 @@ def blocks(kind: str) -> list[str]:
 
 @contextmanager
 def running(command: str, folder: Path, port: int) -> Iterator[None]:
-    """A server, until it is no longer needed."""
     server = subprocess.Popen(shlex.split(command), cwd=folder, env=ENVIRONMENT, stderr=subprocess.DEVNULL)
     try:
         for _ in range(600):

@@ -34,8 +34,7 @@ from synthesis_samples import ws_psnr
 from viewer.browser import Launch, WalkPage, look, pinhole_rays
 
 SIZE = (256, 512)
-FARTHEST = 1e7
-"""Metres; Embree knows no infinity."""
+FARTHEST = 1e7  # Metres; Embree knows no infinity.
 
 
 @dataclass(frozen=True)

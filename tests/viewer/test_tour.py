@@ -15,14 +15,12 @@ from omnisyn_cli.poses.tour import Tour
 from synthesis_samples import posed, write_hall
 from viewer.browser import WalkPage, serving
 
+# x and z of nine panoramas: a street with two crossings, at p1 and p3.
 PLACES = {
     "p0": (-1.2, 0.0), "p1": (-0.6, 0.0), "p2": (0.0, 0.0), "p3": (0.6, 0.0), "p4": (1.2, 0.0),
     "p5": (-0.6, -0.7), "p6": (-0.6, 0.7), "p7": (0.6, -0.7), "p8": (0.6, 0.7),
 }  # fmt: skip
-"""x and z of nine panoramas: a street with two crossings, at p1 and p3."""
-
 LINKS = ["p0 p1", "p1 p2", "p1 p5", "p1 p6", "p2 p3", "p3 p4", "p3 p7", "p3 p8"]
-
 DOCUMENT = {
     "version": 1,
     "title": "Nine <i>places</i>",
@@ -55,7 +53,6 @@ def write_tour(folder: Path) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The walk as a folder."""
     place = tmp_path_factory.mktemp("tour")
     options = {"is_chain": False, "tour": place / "tour.json", "is_folder": True}
     plan = plan_view(tour_job(ViewJob, place, write_tour(place), "walk", **options))

@@ -23,8 +23,8 @@ MAX_NETWORK_ROWS = 1024  # rows of the network's picture; its memory grows with 
 SIZE_MULTIPLE = 64  # of the network's input: it halves its input six times
 
 
+# Takes both layers' colours in [0, 1], 0 where nothing is seen, and both seen masks to a picture, channels first.
 DirectFusionNetwork = Callable[[np.ndarray], np.ndarray]
-"""Takes both layers' colours in [0, 1], 0 where nothing is seen, and both seen masks to a picture, channels first."""
 
 
 class DirectFuser(GeometricFuser):

@@ -6,8 +6,6 @@ that the networks were trained at, upright, then turned and enlarged.
 Source: Wiles et al., SynSin (CVPR 2020); OmniSyn, section 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -131,7 +129,7 @@ class SynSin:
         self.networks, self.sources, self.options, self.clock = networks, sources, options, clock or Stopwatch()
         self._clouds: dict[int, Cloud] = {}
 
-    def prepare(self, index: int, views: Sequence[View]) -> SynSinPair:
+    def prepare(self, index: int, views: Sequence[View]) -> "SynSinPair":
         """Nothing is computed yet: of one source, half of the frames may do with one panorama."""
         self._clouds = {known: cloud for known, cloud in self._clouds.items() if known == index}
         return SynSinPair(self, index, (views[index], views[index + 1]))

@@ -69,8 +69,7 @@ class Outcome:
     attempts: int
 
 
-Report = tuple[int, Answer | str]
-"""News of one worker: its answer, or how it died."""
+Report = tuple[int, Answer | str]  # News of one worker: its answer, or how it died.
 
 
 class Worker:

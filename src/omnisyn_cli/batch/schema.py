@@ -1,7 +1,5 @@
 """The lines of a manifest, and one as a type: its files, and every option of an interpolation with its values."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -32,7 +30,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
             yield number, _parsed(line)
 
 
-def _rows(rows: csv.DictReader[str]) -> Iterator[tuple[int, dict[str, Any] | str]]:
+def _rows(rows: "csv.DictReader[str]") -> Iterator[tuple[int, dict[str, Any] | str]]:
     """Rows of a CSV file; none of one with repeated columns."""
     try:
         columns = rows.fieldnames or ()
@@ -111,8 +109,7 @@ OPTION_FIELDS: dict[str, Any] = {
 }
 LINE_CONFIG = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-Line: Any = create_model("Line", __config__=LINE_CONFIG, **LINE_FIELDS, **OPTION_FIELDS)
-"""One line of a manifest."""
+Line: Any = create_model("Line", __config__=LINE_CONFIG, **LINE_FIELDS, **OPTION_FIELDS)  # One line of a manifest.
 
 
 def check_options(options: Mapping[str, Any]) -> None:

@@ -23,8 +23,7 @@ except ValueError as error:
 
 from omnisyn_cli.compute.kernel_files import COMPILE_EVENT, OTHER_PROCESS, KernelFiles
 
-Decorator = Callable[..., Any]
-"""Numba's decorators say nothing about the types of what they make."""
+Decorator = Callable[..., Any]  # Numba's decorators say nothing about the types of what they make.
 
 
 class _Kept:
@@ -104,23 +103,15 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
     return compiled
 
 
+# Strict floating point: a·b − c·d is the exact negative of c·d − a·b.
 kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy")
-"""Strict floating point: a·b − c·d is the exact negative of c·d − a·b."""
-
+# Reassociation allowed: for colours and boxes, never for tests of visibility.
 fast_kernel: Decorator = partial(kernel, fastmath=True)
-"""Reassociation allowed: for colours and boxes, never for tests of visibility."""
-
+# Only other kernels can call it, and its machine code is kept with theirs: that compiles faster.
 subkernel: Decorator = partial(kernel, cache=False, no_cpython_wrapper=True)
-"""Only other kernels can call it, and its machine code is kept with theirs: that compiles faster."""
-
-fast_subkernel: Decorator = partial(subkernel, fastmath=True)
-"""The same with reassociation."""
-
-inlined: Decorator = partial(subkernel, forceinline=True)
-"""Always inlined, so that loops around it can be vectorised."""
-
-inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
-"""Inlined; a·b + c may be one instruction."""
+fast_subkernel: Decorator = partial(subkernel, fastmath=True)  # The same with reassociation.
+inlined: Decorator = partial(subkernel, forceinline=True)  # Always inlined, so that loops around it can be vectorised.
+inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})  # Inlined; a·b + c may be one instruction.
 
 
 class _Change(event.Listener):  # type: ignore[misc]

@@ -41,9 +41,7 @@ from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.io.documents import append_line
 from omnisyn_cli.io.outputs import make_folder
 
-KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
-"""The last record of every unit."""
-
+KnownRecords = dict[tuple[str, str, str, str], UnitRecord]  # The last record of every unit.
 DEFAULT_TOUR_PAIRS = "every:2"  # pairs of tours unless others are asked for
 
 

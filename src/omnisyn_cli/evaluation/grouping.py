@@ -25,9 +25,8 @@ TIME_BANDS = 5  # parts of equal length that the way between two panoramas is cu
 # Stages in the order in which they are gone through; others follow.
 STAGES = ("depth", "flow", "mesh", "render", "fuse")
 
+# Values by where they were measured: the scene, the first panorama, the second, and what tells the rest apart.
 Sample = Mapping[tuple[Any, ...], float]
-"""Values by where they were measured: the scene, the first panorama, the second, and what tells the rest apart."""
-
 PAIR_PARTS = 3  # parts of such a key that name a pair
 # 97.5 % quantiles of Student's distribution, by degrees of freedom; the last one is enough for more.
 STUDENT_T = (math.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23)

@@ -33,11 +33,10 @@ from omnisyn_cli.types import DepthEstimate, View
 CLIP_FRAMES, CLIP_STEP, CLIP_HEIGHT = 9, 1 / 60, 256
 END_SHARE = 1e-6  # share of the way from a panorama at which a frame is rendered rather than the photograph shown
 
+# A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`.
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
-"""A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""
-
+# Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`.
 PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
-"""Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`."""
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from omnisyn_cli.io.documents import complete_lines
 
 RESULTS_NAME = "results.jsonl"  # a line per finished unit
 
+# ``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: a scene has no pair that can
+# be measured. ``failed``: a file is damaged, or the method broke. All but ``done`` have a ``reason``.
 Status = Literal["done", "unavailable", "skipped", "failed"]
-"""``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: a scene has no pair that can
-be measured. ``failed``: a file is damaged, or the method broke. All but ``done`` have a ``reason``."""
 
 
 @dataclass(frozen=True)

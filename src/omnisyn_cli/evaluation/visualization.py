@@ -48,11 +48,8 @@ THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
 # Of the pictures of a frame, by kind.
 FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
 
-Pictures = dict[str, str]
-"""Pictures side by side: a caption -> the whole file as an address."""
-
-Sections = dict[str, dict[str, Pictures]]
-"""By method or panorama, then by a title, which may be empty."""
+Pictures = dict[str, str]  # Pictures side by side: a caption -> the whole file as an address.
+Sections = dict[str, dict[str, Pictures]]  # By method or panorama, then by a title, which may be empty.
 
 
 def error_map(image: Picture, truth: Picture) -> UInt8[np.ndarray, "height width 3"]:

@@ -15,8 +15,6 @@ dB.
 Its twin for one pixel in kernels is :func:`omnisyn_cli.fusion.blend_kernels.view_weights`; a test ties the two.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +43,7 @@ class BlendRule:
     dissolves: bool = False  # whether most places show one layer alone
 
     @staticmethod
-    def at(t: float, *, dissolves: bool = False) -> BlendRule:
+    def at(t: float, *, dissolves: bool = False) -> "BlendRule":
         """At a share ``t`` of the way; visibility sets in by a smooth step from either end."""
         x = min(1.0, min(t, 1.0 - t) / RAMP_SHARE)
         occlusion_strength = x * x * (3.0 - 2.0 * x)

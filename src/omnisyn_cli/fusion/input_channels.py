@@ -33,9 +33,8 @@ from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 Array = Any  # numpy.ndarray or torch.Tensor
 
 FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS = 0, 3, 6, 9, 11
+# First channel of each group, and their number, see :func:`fusion_input_channels`. Checkpoints depend on them.
 LOG_WEIGHT_RATIO, DEPTH_GAP, SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 13, 14, 15, 17, 18, 19, 20
-"""First channel of each group, and their number, see :func:`fusion_input_channels`. Checkpoints depend on them."""
-
 # Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway.
 MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0
 # Root mean square difference of two colours up to which the choice between them does not matter, and from which on it
@@ -47,8 +46,8 @@ SQRT_LINEAR_LIMIT = 1e-4
 # Pixels by which a disagreement of depth is dilated and then blurred. Set by hand.
 DISAGREEMENT_RADIUS, DISAGREEMENT_BLUR_RADIUS = 4, 2
 
+# Returns a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes.
 Fill = Callable[[Array, Array], Array]
-"""Returns a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
 
 
 def fusion_input_channels(

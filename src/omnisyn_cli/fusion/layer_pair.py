@@ -4,8 +4,6 @@ The order of the steps: each layer shades its rows and matches their exposure (:
 confidence is judged from both; ghosts are suppressed (:mod:`omnisyn_cli.fusion.ghosts`). Then the fuser blends.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -31,7 +29,7 @@ class LayerPair:
     second: Layer
     steps: tuple[ColourStep, ...] = ()
 
-    def with_step(self, step: ColourStep | None) -> LayerPair:
+    def with_step(self, step: ColourStep | None) -> "LayerPair":
         """The pair with one more step, unless that is None."""
         return self if step is None else replace(self, steps=(*self.steps, step))
 

@@ -34,8 +34,8 @@ def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Flo
     return np.asarray(1.0 - dilate(strength, 1), np.float32)
 
 
+# Takes the channels of :class:`InputBuilder` to blend weights ``(4, height, width)`` of the warp candidates.
 ResidualFusionNetwork = Callable[[np.ndarray], np.ndarray]
-"""Takes the channels of :class:`InputBuilder` to blend weights ``(4, height, width)`` of the warp candidates."""
 
 
 def network_size(

@@ -36,9 +36,8 @@ from omnisyn_cli.types import SourceSampler
 CROSS_VIEW, CANDIDATE_RGB, HYPOTHESIS_DEPTHS, HYPOTHESIS_OCCLUSION, CANDIDATE_DIFFERENCE = (
     INPUT_CHANNELS + k for k in (0, 12, 24, 26, 30)
 )
+# First channel of each group that the candidates add, and how many they add. Checkpoints depend on them.
 CANDIDATE_CHANNELS = 32
-"""First channel of each group that the candidates add, and how many they add. Checkpoints depend on them."""
-
 # Candidates are sampled at so many times the height of the network's input, and averaged. Set by hand.
 CANDIDATE_SCALE = 2
 # Pixels, at the size of the candidates, within which the nearest and the farthest surface are taken. Set by hand.

@@ -5,8 +5,6 @@ of the row for ``cos p`` and x of the column for ``sin a``, it is ``(x, y, −1)
 1. Inverse depths are those of the distance along the axis then, and what is proportional to both stays as it is.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,7 +18,7 @@ class PerspectiveSize(tuple[int, int]):
 
     focal: float  # pixels that a step of 1 sideways has on the plane at distance 1
 
-    def __new__(cls, height: int, width: int, fov: float) -> PerspectiveSize:
+    def __new__(cls, height: int, width: int, fov: float) -> "PerspectiveSize":
         """Of a picture whose width spans ``fov`` radians."""
         size = super().__new__(cls, (height, width))
         size.focal = width / 2.0 / math.tan(fov / 2.0)

@@ -5,8 +5,6 @@ Frames stand in the names: ``a_from_b`` takes coordinates in b to coordinates in
 Axes are those of :mod:`omnisyn_cli.geometry.sphere`; angles are radians, lengths metres, arrays float64.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -28,15 +26,15 @@ class Pose:
     position: Float[np.ndarray, "*batch 3"]  # optical centre in the world, metres
 
     @staticmethod
-    def identity() -> Pose:
+    def identity() -> "Pose":
         """The pose of a camera at the origin that looks along −z."""
         return Pose(np.eye(3), np.zeros(3))
 
-    def __matmul__(self, other: Pose) -> Pose:
+    def __matmul__(self, other: "Pose") -> "Pose":
         """``a_from_c = a_from_b @ b_from_c``."""
         return Pose(self.rotation @ other.rotation, self.transform(other.position))
 
-    def inverse(self) -> Pose:
+    def inverse(self) -> "Pose":
         """``b_from_a`` of ``a_from_b``."""
         transposed = np.swapaxes(self.rotation, -1, -2)
         return Pose(transposed, -np.squeeze(transposed @ self.position[..., None], -1))
@@ -45,7 +43,7 @@ class Pose:
         """Points taken from the camera's frame to the world; their batch axes broadcast against the pose's."""
         return np.asarray(np.squeeze(self.rotation @ points[..., None], -1) + self.position)
 
-    def almost_equals(self, other: Pose, *, metres: float = 1e-9, radians: float = 1e-9) -> bool:
+    def almost_equals(self, other: "Pose", *, metres: float = 1e-9, radians: float = 1e-9) -> bool:
         """Whether both poses agree everywhere within the given tolerances."""
         moved = np.linalg.norm(self.position - other.position, axis=-1)
         turned = rotation_angle(np.swapaxes(self.rotation, -1, -2) @ other.rotation)

@@ -58,8 +58,7 @@ def inverse_depth_of(sqrt_inv_depth: Tensor, config: SynSinConfig) -> Tensor:
 class SynSinPart(Network):
     """One of the three; its file has a size, and says how wide points are (rows) and how many make a pixel."""
 
-    input_name, output_name = "image", "inverse_depth"
-    """Input and output of the file; inverse depth is in 1/m."""
+    input_name, output_name = "image", "inverse_depth"  # Input and output of the file; inverse depth is in 1/m.
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__()

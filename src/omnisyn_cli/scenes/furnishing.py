@@ -28,8 +28,7 @@ WINDOW_FURNITURE: tuple[FurnitureMaker, ...] = (furniture.table, furniture.plant
 # Yaw (radians) of furniture that faces away from a wall.
 INWARD_YAW = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
 
-OccupiedDisks = list[tuple[float, float, float]]
-"""Occupied disks on the floor: x, z and radius, metres."""
+OccupiedDisks = list[tuple[float, float, float]]  # Occupied disks on the floor: x, z and radius, metres.
 
 
 def furnish(

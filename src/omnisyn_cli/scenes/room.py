@@ -26,8 +26,7 @@ EXTRAS = (
 BASELINE_RANGE = (0.25, 8.0)  # Shortest and longest distance between the first and the last camera, metres
 MAX_BASELINE_IN_DEPTHS = 3.0  # Longest baseline, in multiples of the depth of the nearest surface
 
-Grid = dict[tuple[int, int], tuple[Cell, Openings]]
-"""Rooms with their openings by column and row."""
+Grid = dict[tuple[int, int], tuple[Cell, Openings]]  # Rooms with their openings by column and row.
 
 
 def room(seed: int) -> Scene:

@@ -97,8 +97,7 @@ class Opening:
 
 WALLS = ("west", "east", "south", "north")  # Low and high x, low and high z
 
-Openings = dict[str, list[Opening]]
-"""By wall."""
+Openings = dict[str, list[Opening]]  # By wall.
 
 
 def add_room_shell(

@@ -8,8 +8,6 @@ is added to that of the depth. Lengths are in baselines, the view between is in 
 Source: OmniSyn, section 3.6.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -65,7 +63,7 @@ class JointConfig:
         return {"paper": self.depth.as_dict(), "fusion": self.fusion.as_dict()}
 
     @staticmethod
-    def from_dict(values: dict[str, Any]) -> JointConfig:
+    def from_dict(values: dict[str, Any]) -> "JointConfig":
         """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
         return JointConfig(PaperConfig.from_dict(values["paper"]), FusionConfig.from_dict(values["fusion"]))
 

@@ -5,16 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion.photometry import ExposureMatcher, darken_to_match, rough_exposure_curve
-from omnisyn_cli.fusion.photometry.exposure_curve import (
-    KNOTS,
-    ExposureCurve,
-    cross_validated_curve,
-    estimate_curve,
-    estimate_gain,
-    linear_to_srgb,
-    srgb_to_linear,
-)
+from omnisyn_cli.fusion.photometry import ExposureMatcher, darken_to_match, exposure_curve, rough_exposure_curve
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer, View
 from photometry_samples import exposed, in_eight_bits, linear
@@ -27,8 +18,8 @@ def colours(seed: int = 0, most: float = 1.0) -> np.ndarray:
     return in_eight_bits(np.random.default_rng(seed).random((COUNT, 3)) * most)
 
 
-def constant(*stops: float) -> ExposureCurve:
-    return ExposureCurve(np.repeat(np.array(stops)[:, None], len(KNOTS), axis=1))
+def constant(*stops: float) -> exposure_curve.ExposureCurve:
+    return exposure_curve.ExposureCurve(np.repeat(np.array(stops)[:, None], len(exposure_curve.KNOTS), axis=1))
 
 
 def looked_up(table: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -39,15 +30,15 @@ def looked_up(table: np.ndarray, image: np.ndarray) -> np.ndarray:
 @given(st.floats(0, 4))
 def test_light_and_stored_values_follow_the_standard_and_there_is_a_way_back(value: float) -> None:
     x = np.array([value])
-    np.testing.assert_allclose(srgb_to_linear(x), linear(x), rtol=1e-9)
-    np.testing.assert_allclose(linear_to_srgb(x), stored_by_definition(x), rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(linear_to_srgb(srgb_to_linear(x)), x, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(exposure_curve.srgb_to_linear(x), linear(x), rtol=1e-9)
+    np.testing.assert_allclose(exposure_curve.linear_to_srgb(x), stored_by_definition(x), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(exposure_curve.linear_to_srgb(exposure_curve.srgb_to_linear(x)), x, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("stops", [(1, 1, 1), (-1, -1, -1), (0.3, 0.3, 0.3), (0.4, 0.0, -0.3), (-2, -2.2, -1.9)])
 def test_an_exposure_and_a_white_balance_are_found(stops: tuple[float, float, float]) -> None:
     first = colours()
-    curve = estimate_curve(first, in_eight_bits(exposed(first, stops)), np.ones(COUNT))
+    curve = exposure_curve.estimate_curve(first, in_eight_bits(exposed(first, stops)), np.ones(COUNT))
     np.testing.assert_allclose(curve.gain[:, 2:], np.repeat(np.array(stops)[:, None], 4, axis=1), atol=0.05)
 
 
@@ -58,15 +49,15 @@ def test_a_third_of_the_places_may_show_something_else_and_all_be_noisy(stop: fl
     second = np.clip(exposed(first, stop) + rng.normal(0, 0.02, first.shape), 0, 1).astype(np.float32)
     moved = rng.random(COUNT) < 0.3
     second[moved] = rng.random((moved.sum(), 3))
-    curve = estimate_curve(first, second, np.ones(COUNT))
-    middle = curve.gain[:, (KNOTS > -5) & (KNOTS < -0.9)]
+    curve = exposure_curve.estimate_curve(first, second, np.ones(COUNT))
+    middle = curve.gain[:, (exposure_curve.KNOTS > -5) & (exposure_curve.KNOTS < -0.9)]
     np.testing.assert_allclose(middle, stop, atol=0.15)
 
 
 def test_another_tone_curve_is_followed() -> None:
     first = colours()
     second = in_eight_bits(0.85 * first**1.3)
-    curve = estimate_curve(first, second, np.ones(COUNT))
+    curve = exposure_curve.estimate_curve(first, second, np.ones(COUNT))
     bright = first[((first > 0.25) & (first < 0.9)).all(axis=1)]
     np.testing.assert_allclose(looked_up(curve.table(1.0, of_second=False), bright), 0.85 * bright**1.3, atol=0.03)
 
@@ -75,46 +66,46 @@ def test_another_tone_curve_is_followed() -> None:
 def test_pictures_exposed_alike_are_left_alone(noise: float) -> None:
     first = colours()
     second = np.clip(first + np.random.default_rng(1).normal(0, noise, first.shape), 0, 1).astype(np.float32)
-    assert estimate_curve(first, second, np.ones(COUNT)).is_identity
+    assert exposure_curve.estimate_curve(first, second, np.ones(COUNT)).is_identity
 
 
 def test_pictures_of_different_things_are_left_alone() -> None:
     first = colours()
     for second in (colours(7), 1 - first, np.zeros_like(first), np.ones_like(first)):
-        assert estimate_curve(first, second, np.ones(COUNT)).is_identity
+        assert exposure_curve.estimate_curve(first, second, np.ones(COUNT)).is_identity
 
 
 def test_a_curve_that_fits_samples_of_different_places_is_not_confirmed() -> None:
     """Samples that have nothing in common but their brightness have a curve; true ones have it in both halves."""
     first, weight = colours(most=0.5), np.ones(COUNT)
     second = exposed(colours(1, most=0.5), 2.0)
-    assert not estimate_curve(first, second, weight).is_identity
-    assert cross_validated_curve([(first, second, weight)] * 2).is_identity
+    assert not exposure_curve.estimate_curve(first, second, weight).is_identity
+    assert exposure_curve.cross_validated_curve([(first, second, weight)] * 2).is_identity
     first = colours()
     true = (first, in_eight_bits(exposed(first, 0.5)), weight)
-    np.testing.assert_allclose(cross_validated_curve([true, true]).gain[:, 3], 0.5, atol=0.05)
-    assert cross_validated_curve([true, (first, first, weight)]).is_identity
-    assert cross_validated_curve([tuple(x[:0] for x in true)] * 2).is_identity
+    np.testing.assert_allclose(exposure_curve.cross_validated_curve([true, true]).gain[:, 3], 0.5, atol=0.05)
+    assert exposure_curve.cross_validated_curve([true, (first, first, weight)]).is_identity
+    assert exposure_curve.cross_validated_curve([tuple(x[:0] for x in true)] * 2).is_identity
 
 
 def test_without_samples_or_weight_nothing_changes() -> None:
-    assert estimate_curve(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)).is_identity
+    assert exposure_curve.estimate_curve(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)).is_identity
     first = colours()
-    assert estimate_curve(first, exposed(first, 1), np.zeros(COUNT)).is_identity
+    assert exposure_curve.estimate_curve(first, exposed(first, 1), np.zeros(COUNT)).is_identity
 
 
 def test_weight_is_a_number_of_samples() -> None:
     """Half of the places a stop brighter, half as they were: the heavier half decides."""
     first, half = colours(), np.arange(COUNT) % 2 == 0
     second = np.where(half[:, None], exposed(first, 1), first)
-    heavy = estimate_curve(first, second, np.where(half, 3.0, 1.0))
+    heavy = exposure_curve.estimate_curve(first, second, np.where(half, 3.0, 1.0))
     np.testing.assert_allclose(heavy.gain[:, 2:5], 1.0, atol=0.1)
-    assert estimate_curve(first, second, np.where(half, 1.0, 9.0)).is_identity
+    assert exposure_curve.estimate_curve(first, second, np.where(half, 1.0, 9.0)).is_identity
 
 
 def test_exchanging_the_pictures_reverses_the_curve() -> None:
     first, second = colours(), in_eight_bits(exposed(colours(), (0.8, 0.5, 0.9)))
-    there, back = (estimate_curve(a, b, np.ones(COUNT)) for a, b in ((first, second), (second, first)))
+    there, back = (exposure_curve.estimate_curve(a, b, np.ones(COUNT)) for a, b in ((first, second), (second, first)))
     np.testing.assert_allclose(there.gain, back.reversed().gain, atol=0.02)
 
 
@@ -133,8 +124,8 @@ def test_along_the_way_light_is_multiplied_by_the_power_of_two_of_the_share(t: f
 @given(st.lists(st.floats(-3, 3), min_size=6, max_size=6), st.floats(0, 1))
 def test_tables_rise_from_black_to_white_at_most_and_both_pictures_meet(gain: list[float], t: float) -> None:
     steep = np.array(gain)
-    steps = np.clip(np.diff(steep) / np.diff(KNOTS), -1.5, 1.5) * np.diff(KNOTS)
-    curve = ExposureCurve(np.tile(np.concatenate([steep[:1], steep[0] + np.cumsum(steps)]), (3, 1)))
+    steps = np.clip(np.diff(steep) / np.diff(exposure_curve.KNOTS), -1.5, 1.5) * np.diff(exposure_curve.KNOTS)
+    curve = exposure_curve.ExposureCurve(np.tile(np.concatenate([steep[:1], steep[0] + np.cumsum(steps)]), (3, 1)))
     for of_second in (False, True):
         table = curve.table(t, of_second=of_second)
         assert (np.diff(table, axis=1) >= 0).all()
@@ -157,14 +148,14 @@ def test_at_its_own_end_a_picture_is_what_it_was(of_second: bool) -> None:
 @pytest.mark.parametrize("stop", [1.0, -1.0, 0.5])
 def test_before_anything_matches_a_gain_is_found_from_all_values(stop: float) -> None:
     first, other = colours(1, 0.6), colours(2, 0.6)
-    curve = estimate_gain(first, exposed(other, stop))
+    curve = exposure_curve.estimate_gain(first, exposed(other, stop))
     np.testing.assert_allclose(curve.gain, stop, atol=0.06)
-    assert estimate_gain(first, other).is_identity
+    assert exposure_curve.estimate_gain(first, other).is_identity
 
 
 SIZE = (32, 64)
 HERE = Pose(np.eye(3), np.zeros(3))
-STOP = ExposureCurve(np.ones((3, len(KNOTS))))
+STOP = exposure_curve.ExposureCurve(np.ones((3, len(exposure_curve.KNOTS))))
 
 
 def picture(seed: int = 0, most: float = 0.7) -> np.ndarray:
@@ -214,7 +205,9 @@ def test_highlights_that_were_cut_off_weigh_less_once_darkened() -> None:
 
 def test_the_same_exposure_costs_nothing_and_changes_nothing() -> None:
     views = [rendering(picture(1)), rendering(picture(2))]
-    found = ExposureMatcher(ExposureCurve(np.zeros((3, len(KNOTS)))))(views[0], views[1], 0.3)
+    found = ExposureMatcher(exposure_curve.ExposureCurve(np.zeros((3, len(exposure_curve.KNOTS)))))(
+        views[0], views[1], 0.3
+    )
     assert all(one is other for one, other in zip(found, views, strict=True))
 
 

@@ -16,11 +16,8 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.poses.formats import import_poses
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions
 
-SIZE = (512, 1024)
-"""``(height, width)`` in which pixels are compared; no such image exists."""
-
-PIXELS = 1e-6
-"""That formulas may differ by."""
+SIZE = (512, 1024)  # ``(height, width)`` in which pixels are compared; no such image exists.
+PIXELS = 1e-6  # That formulas may differ by.
 
 
 def axis_angle(vector: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -108,10 +105,7 @@ def our_pixel(pose: Pose, point: np.ndarray) -> np.ndarray:
 
 
 def opencv_pixel(point: np.ndarray) -> np.ndarray:
-    """``(row, col)`` of a point in a camera with x right, y down, z forward, as COLMAP's EQUIRECTANGULAR has it.
-
-    COLMAP counts from the corner of the image, so half a pixel goes off.
-    """
+    """``(row, col)`` in COLMAP's EQUIRECTANGULAR: x right, y down, z forward, counted from the corner of the image."""
     x, y, z = point
     height, width = SIZE
     horizontal = (math.atan2(x, z) / (2 * math.pi) + 0.5) * width

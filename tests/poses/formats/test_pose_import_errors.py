@@ -20,7 +20,6 @@ SHOT = {"camera": "c", "rotation": [0, 0, 0], "translation": [0, 0, 0]}
 SPHERICAL = {"c": {"projection_type": "spherical"}}
 EYE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
 TWICE = [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]
-
 TEXTS = {
     "colmap fields": ("images.txt", "1 1 0 0 0 0 0 0 1\n\n", r"images\.txt:1: expected IMAGE_ID QW .*, got 9 fields"),
     "colmap number": ("images.txt", "#\n1 1 0 0 0 x 0 0 1 a\n\n", r"images\.txt:2: expected numbers .*'x'"),
@@ -153,8 +152,7 @@ def test_images_without_place_or_heading(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("option", "values"),
-    [("--origin", {"origin": (1.0, 2.0, 3.0)}), ("--floor", {"floor": "floor_01"})],
+    ("option", "values"), [("--origin", {"origin": (1.0, 2.0, 3.0)}), ("--floor", {"floor": "floor_01"})]
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, option, values):
     write_text(tmp_path / "images.txt", IMAGE, "")

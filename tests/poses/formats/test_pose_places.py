@@ -174,8 +174,8 @@ def test_null_island_is_no_place(tmp_path):
     assert any("left out: 'a.jpg' without GPS" in note for note in result.notes)
 
 
+# 7.4 m to the east, then 11.1 m to the north.
 TRACK = [(48.1, 11.5, 520.0), (48.1, 11.5001, 520.0), (48.1001, 11.5001, 520.0)]
-"""7.4 m to the east, then 11.1 m to the north."""
 
 
 @pytest.mark.parametrize(

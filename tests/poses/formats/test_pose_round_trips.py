@@ -4,6 +4,7 @@ import io
 import json
 import math
 from pathlib import Path
+from unittest.mock import Mock
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,8 +24,8 @@ from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS, export_poses, writ
 
 OUTPUTS = {"colmap": "model", "nerfstudio": "transforms.json", "tum": "trajectory.tum"}
 
+# Those that hold positions; tags in copies of photographs hold rotations and have tests of their own.
 every_format = pytest.mark.parametrize("format_name", [name for name in EXPORT_FORMATS if name != "gpano"])
-"""Those that hold positions; tags in copies of photographs hold rotations and have tests of their own."""
 
 
 def turns() -> list[np.ndarray]:
@@ -123,19 +124,15 @@ def test_sizes_are_read_or_given(tmp_path, format_name):
 
 @every_format
 def test_a_full_disk_is_said_of_the_output(tmp_path, monkeypatch, format_name):
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
     poses, output = written(tmp_path), tmp_path / OUTPUTS[format_name]
     for way in ("open", "write_text"):
-        monkeypatch.setattr(Path, way, full)
+        monkeypatch.setattr(Path, way, Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(WriteError, match=f"{output.name}: expected to write it, got 'No space"):
         export_poses(poses, output, format_name, size=(4, 8))
     assert not output.exists()
 
 
 GPANO = "{http://ns.google.com/photos/1.0/panorama/}"
-
 PACKET = (
     b'<?xpacket begin="\xef\xbb\xbf" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/">'
     b'<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" '

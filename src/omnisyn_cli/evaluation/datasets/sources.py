@@ -82,8 +82,8 @@ class Pair:
 
 AROUND_PAIRS = "around"  # each frame is left out once, and its neighbours are the inputs
 
+# Takes a scene to its pairs; raises InputError where a frame that was asked for is not there.
 PairChooser = Callable[[Scene], list[Pair]]
-"""Takes a scene to its pairs; raises InputError where a frame that was asked for is not there."""
 
 
 def choose_pairs(text: str | None) -> PairChooser:

@@ -21,8 +21,7 @@ PEAK = 1.0  # the greatest value of an image
 # Pixels along the side of the Gaussian window, and its standard deviation (Wang et al., 2004).
 SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
 LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
-CONTRAST_FLOOR = (0.03 * PEAK) ** 2
-"""C1 and C2 of Wang et al., 2004."""
+CONTRAST_FLOOR = (0.03 * PEAK) ** 2  # C1 and C2 of Wang et al., 2004.
 
 
 def psnr(image: Picture, truth: Picture) -> float:

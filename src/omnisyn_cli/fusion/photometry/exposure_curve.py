@@ -11,8 +11,6 @@ both keeps noise and slightly wrong places from bending it (Altman and Bland, Me
 the fit symmetric in the two pictures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,9 +20,7 @@ from jaxtyping import Bool, Float
 SRGB_LINEAR_LIMIT = 0.04045
 SRGB_LINEAR_SLOPE = 12.92
 SRGB_OFFSET = 0.055
-SRGB_GAMMA = 2.4
-"""Of the sRGB transfer function from encoded value to linear light (IEC 61966-2-1:1999, 5.2)."""
-
+SRGB_GAMMA = 2.4  # Of the sRGB transfer function from encoded value to linear light (IEC 61966-2-1:1999, 5.2).
 # Levels in stops at which the gain is kept; it is linear between them and constant beyond. Set by hand.
 KNOTS = np.array([-7.0, -5.5, -4.0, -2.5, -1.5, -0.5])
 USABLE_SRGB = (0.04, 0.97)  # usable sRGB values: darker ones are noise, brighter ones may be clipped. Set by hand.
@@ -51,9 +47,7 @@ MIN_ROUGH_GAIN_STOPS = 0.25
 # Quantiles of both pictures that the rough gain compares; the ends are left out. Set by hand.
 QUANTILES = np.linspace(0.05, 0.95, 46)
 GAIN_BINS_PER_STOP = 50
-LEVEL_BINS_PER_STOP = 4
-"""Resolution of the histogram that medians are read from. Set by hand."""
-
+LEVEL_BINS_PER_STOP = 4  # Resolution of the histogram that medians are read from. Set by hand.
 MAX_GAIN_STOPS = 5.0  # the largest gain that is looked for. Set by hand.
 EXPOSURE_TABLE_ENTRIES = 1024  # entries of a table from sRGB value to sRGB value, evenly from 0 to 1; read linearly
 
@@ -70,7 +64,7 @@ class ExposureCurve:
         """Whether both pictures are exposed alike."""
         return not self.gain.any()
 
-    def reversed(self) -> ExposureCurve:
+    def reversed(self) -> "ExposureCurve":
         """The curve for the pictures in the other order."""
         return ExposureCurve(-self.gain)
 

@@ -139,8 +139,8 @@ SAME_NORMAL = 0.95  # Least cosine between normals that share light
 BAND_ROWS = 16  # Rows of a picture that are drawn at once; chosen by timing
 
 
+# Colours (sRGB in [0, 1]) of one sample of every pixel: what is seen, radians between samples, and which sample.
 Shader = Callable[[Hits, float, int], Float[np.ndarray, "rays 3"]]
-"""Colours (sRGB in [0, 1]) of one sample of every pixel: what is seen, radians between samples, and which sample."""
 
 
 def render(

@@ -136,8 +136,7 @@ PHOTO_SHARES = (0.0, 0.8)
 REPLACEMENT_CHANCE = 0.15  # Chance that a textured material gets another photograph
 TILES = (0.4, 4.0)  # Metres that a photograph spans
 
-Photos = Sequence[UInt8[np.ndarray, "height width 3"]]
-"""Photographs of surfaces."""
+Photos = Sequence[UInt8[np.ndarray, "height width 3"]]  # Photographs of surfaces.
 
 
 def varied_mesh(mesh: TexturedMesh, rng: np.random.Generator, photos: Photos) -> TexturedMesh:
