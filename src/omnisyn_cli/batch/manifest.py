@@ -21,6 +21,7 @@ from omnisyn_cli.batch.schema import LINE_FIELDS, Line, problem_sentences, read_
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
 from omnisyn_cli.interpolation.job import (
+    FACES,
     INPUT_FILES,
     INPUT_LISTS,
     OUTPUTS,
@@ -146,7 +147,9 @@ class _Reader:
         options = line.model_dump(exclude=set(LINE_FIELDS), exclude_defaults=True)
         _check_together(options, is_found=pose_file is None)
         for key in options.keys() & {*INPUT_LISTS}:
-            options[key] = [str(self._file(self._folder / name, "a mask")) for name in options[key]]
+            options[key] = [
+                name if name == str(FACES) else str(self._file(self._folder / name, "a mask")) for name in options[key]
+            ]
         for key in options.keys() & {*INPUT_FILES}:
             options[key] = str(self._file(self._folder / options[key], f"a file for {key}"))
         for key in NETWORK_OPTIONS:

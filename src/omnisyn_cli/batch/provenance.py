@@ -77,7 +77,7 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     installed = _installed() if named else {}
     options = dict(job.options)
     for key in options.keys() & {*INPUT_LISTS}:
-        options[key] = [relative_name(Path(file), job.folder) for file in options[key]]
+        options[key] = [relative_name(job.folder / file, job.folder) for file in options[key]]
     for key in (*NETWORK_OPTIONS, *INPUT_FILES):
         if Path(network := options.get(key, "")).is_absolute():
             options[key] = relative_name(Path(network), job.folder)

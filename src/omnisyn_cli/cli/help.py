@@ -12,8 +12,8 @@ from omnisyn_cli.cli.terminal import printable
 
 # Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last.
 SECTIONS: Mapping[str, str] = {
-    "Input": "every path poses baseline camera_height refine masks nadir nadir_fill allow_outside allow_aspect "
-    "upper_half hfov vfov horizon view_transform max_pixels",
+    "Input": "every path poses baseline camera_height refine new masks blur face_model nadir nadir_fill allow_outside "
+    "allow_aspect upper_half hfov vfov horizon view_transform max_pixels",
     "Output": "output frames duration fps size format views stereo codec crf encoder_preset audio texture lossless "
     "folder serve is_opened clips stride sky dome save_depth save_confidence save_frames overwrite",
     "Quality and time": "preset budget fallback device threads",
@@ -27,7 +27,7 @@ RARE_OPTIONS = (
     "refine", "nadir_fill", "allow_outside", "allow_aspect", "upper_half", "hfov", "vfov", "horizon", "view_transform",
     "max_pixels", "crf", "encoder_preset", "lossless", "stride", "sky", "dome", "save_depth", "save_confidence",
     "save_frames", "threads", "device", "depth", "model", "depth_prior", "depth_prior_kind", "cut", "cut_metres",
-    "fov", "look", "method", "renderer", "fusion", "adaptive",
+    "face_model", "fov", "look", "method", "renderer", "fusion", "adaptive",
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import click
 
 from omnisyn_cli.cli.help import SectionedCommand
 from omnisyn_cli.cli.options import (
+    blur_options,
     check_one_cut,
     cut_options,
     depth_options,
@@ -75,7 +76,7 @@ if TYPE_CHECKING:
 @preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
-    help="Pick the most accurate preset that should finish in this time, and print what more would gain.",
+    help="Pick the most accurate preset that should finish in this time.",
 )  # fmt: skip
 @depth_options
 @click.option(
@@ -113,6 +114,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @masks_option
+@blur_options
 @nadir_option
 @click.option("--nadir-fill", is_flag=True, help="Fill masked areas with ground in the first and last frame, too.")
 @click.option(

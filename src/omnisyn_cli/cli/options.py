@@ -65,6 +65,19 @@ masks_option = click.option(
     help="Image, black where a panorama must not be used; one per panorama.",
 )  # fmt: skip
 
+blur_options = all_of(
+    click.option(
+        "--blur", metavar="FILE|auto-faces", multiple=True, type=FilePath(),
+        help="Image, black where a panorama is blurred for good; one per panorama. auto-faces: all faces.",
+    ),
+    click.option(
+        "--face-model", metavar="FILE", type=FilePath(),
+        help="OpenCV's face detector YuNet, from github.com/opencv/opencv_zoo: face_detection_yunet_2023mar.onnx.  "
+        "[default: OMNISYN_FACE_MODEL in the environment]",
+    ),
+)  # fmt: skip
+"""Who is made unrecognizable; the files of the panoramas stay."""
+
 nadir_option = click.option(
     "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
     help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
@@ -186,7 +199,7 @@ preset_option = click.option(
 
 
 surface_options = all_of(
-    preset_option, depth_options, cut_options, masks_option, nadir_option,
+    preset_option, depth_options, cut_options, masks_option, blur_options, nadir_option,
     device_option("Where networks run; auto uses a GPU if ONNX Runtime has one."), threads_option, size_options,
     outside_option,
 )  # fmt: skip

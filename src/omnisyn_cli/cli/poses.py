@@ -238,6 +238,12 @@ def refine(
     "--camera-height", metavar="METRES", type=FiniteRange(0, min_open=True),
     help="Height of the cameras above the floor, instead of --baseline.",
 )  # fmt: skip
+@click.option(
+    "--add", "new", metavar="NEW", multiple=True, type=FilePath(),
+    help="Place this panorama among A, B and so on, whose poses stay as they are; may be repeated. Needs --poses, no "
+    "distance.",
+)  # fmt: skip
+@poses_option
 @click.option("--require-all", is_flag=True, help="Fail if a panorama cannot be placed, instead of leaving it out.")
 @output_option
 @overwrite_option
@@ -245,13 +251,24 @@ def refine(
 @quiet_option
 def estimate(
     images: tuple[Path, ...], baselines: tuple[float, ...], camera_height: float | None, require_all: bool,
-    output: Path, overwrite: bool, quiet: bool, **options: Any,
+    new: tuple[Path, ...], poses: Path | None, output: Path, overwrite: bool, quiet: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Estimate the poses of panoramas from the pictures alone.
 
     The first panorama is at the origin and looks towards −z. Vertical edges level the world. Pictures carry no scale,
     so give the distance between neighbours, or the height of the cameras.
-    """
+
+    \b
+    omnisyn poses estimate a.jpg b.jpg c.jpg --camera-height 1.6 -o poses.json
+    omnisyn poses estimate a.jpg b.jpg c.jpg --add d.jpg -o poses.json --overwrite
+    """  # noqa: D301 - click's \b is a backspace
+    if new:
+        if baselines or camera_height is not None:
+            raise click.UsageError("expected --add without a distance, which the poses tell, got both; leave one out")
+        _add(images, new, poses or _poses_beside(images), output, overwrite, quiet, **options)
+        return
+    if poses is not None:
+        raise click.UsageError("expected --poses with --add only, got it alone; name new panoramas (--add NEW)")
     if bool(baselines) == (camera_height is not None):
         given, remedy = ("both", "leave out one of them") if baselines else ("neither", "give one")
         raise click.UsageError(f"expected --baseline or --camera-height, got {given}; {remedy}")
@@ -266,6 +283,20 @@ def estimate(
     )
     write_poses(output, found.panoramas, links=found.links)
     _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], output, quiet)
+
+
+def _add(
+    images: tuple[Path, ...], new: tuple[Path, ...], poses: Path, output: Path, overwrite: bool, quiet: bool,
+    **options: Any,
+) -> None:  # fmt: skip
+    from omnisyn_cli.io.outputs import check_kept, check_output
+    from omnisyn_cli.poses.addition import add_to_file
+    from omnisyn_cli.poses.file import read_poses
+
+    check_output(output, overwrite)
+    check_kept([output], (*images, *new))
+    pose_file = read_poses(poses, allow_outside=True)  # nothing of it is read or written but names
+    _report(add_to_file(images, new, pose_file, output, _picture_options(**options)), output, quiet)
 
 
 def _poses_beside(images: Sequence[Path]) -> Path:

@@ -8,6 +8,7 @@ from pathlib import Path
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.interpolation.job import (
     CHOICES,
+    FACES,
     OUTPUTS,
     InterpolationJob,
     TourJob,
@@ -107,8 +108,8 @@ def check_companions(
     Raises ImageError: one is missing or unreadable, or is no depth; InputError: a mask has another size.
     """
     for k, (entry, size) in enumerate(zip(entries, sizes, strict=True)):
-        for mask in (entry.mask, *job.masks[k : k + 1]):
-            if mask is not None:
+        for mask in (entry.mask, *job.masks[k : k + 1], *job.blur[k : k + 1]):
+            if mask not in (None, FACES):
                 check_mask_size(mask, source_size(job, mask), size)
         if entry.depth is not None and config.depth.strategy.reads_files:
             check_depth_header(read_header(entry.depth))

@@ -23,7 +23,9 @@ Positive = Annotated[float, Gt(0)]
 # Fields of a job that name what is written, as in a manifest.
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
 # Fields of a job that name a file that is read, besides panoramas and poses, and those that name several.
-INPUT_FILES, INPUT_LISTS = ("audio",), ("masks",)
+INPUT_FILES, INPUT_LISTS = ("audio", "face_model"), ("masks", "blur")
+FACES = Path("auto-faces")  # stands for mask pictures of what to blur: faces that a detector finds
+FACE_MODEL_VARIABLE = "OMNISYN_FACE_MODEL"  # of the environment: the detector's file
 POSES_FROM_PICTURES = Path("auto")  # stands for a pose file where there is none
 # Names that fields of a job take.
 CHOICES: Mapping[str, tuple[str, ...]] = {
@@ -60,6 +62,8 @@ class TourJob:
         cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.RunConfig`; at most one of
             them, neither is the preset's.
         masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
+        blur: an image for every panorama, black where it is made unrecognizable, or :data:`FACES` alone; or none.
+        face_model: the detector of faces, an ONNX file; None is what :data:`FACE_MODEL_VARIABLE` names.
         nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
             None finds by itself what moves with the camera, see :mod:`omnisyn_cli.synthesis.camera_fixed`.
         nadir_fill: continue the ground over what is not used at the ends of the way as well, where the photograph is
@@ -95,6 +99,8 @@ class TourJob:
     cut: Annotated[float, Interval(gt=0, le=1)] | None = None
     cut_metres: Positive | None = None
     masks: tuple[Path, ...] = ()
+    blur: tuple[Path, ...] = ()
+    face_model: Path | None = None
     nadir: float | None = None
     nadir_fill: bool = False
     fallback: str = "none"
@@ -179,7 +185,15 @@ class InterpolationJob(TourJob):
 def input_files(job: TourJob) -> tuple[Path, ...]:
     """What is read besides panoramas, their poses and what these name."""
     named = [file for name in INPUT_FILES if (file := getattr(job, name, None)) is not None]
-    return (*named, *(file for name in INPUT_LISTS for file in getattr(job, name)))
+    return (*named, *(file for name in INPUT_LISTS for file in getattr(job, name) if file != FACES))
+
+
+def of_panoramas(job: TourJob, indices: Sequence[int]) -> dict[str, Any]:
+    """The fields that have a file for each panorama, of some panoramas in this order."""
+    lists = {name: getattr(job, name) for name in ("images", *INPUT_LISTS)}
+    return {
+        name: files if FACES in files else tuple(files[k] for k in indices if files) for name, files in lists.items()
+    }
 
 
 def reading_of(job: TourJob) -> Reading:

@@ -17,6 +17,7 @@ from jaxtyping import Float, UInt8
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.sphere import solid_angles
+from omnisyn_cli.interpolation.blurring import blurred_panorama
 from omnisyn_cli.interpolation.job import reading_of
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
@@ -107,9 +108,8 @@ class Loader(Sequence[View]):
 
 def _read_panorama(plan: TourPlan, read: PanoramaReader, index: int) -> CachedPanorama:
     job, reading = plan.job, replace(reading_of(plan.job), size=plan.source_sizes[index])
-    return CachedPanorama(
-        read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
-    )
+    panorama = read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
+    return CachedPanorama(blurred_panorama(job, index, panorama))
 
 
 def _read_companions(
@@ -144,7 +144,7 @@ def _still_region(plan: TourPlan, read: PanoramaReader) -> np.ndarray | None:
     """What moves with the camera in all panoramas of a tour, in a map around the nadir; None of two, or where none."""
     from omnisyn_cli.synthesis.still_outlines import PICTURE_SIZE, find_still_region, spread_out
 
-    small = replace(plan, source_sizes=(PICTURE_SIZE,) * len(plan.entries))
+    small = replace(plan, job=replace(plan.job, blur=()), source_sizes=(PICTURE_SIZE,) * len(plan.entries))
     panorama_of = lru_cache(maxsize=1)(partial(_read_panorama, small, read))
     return find_still_region(
         View(panorama_of(index).image(), plan.entries[index].pose, _read_companions(small, panorama_of, index)[0])

@@ -14,7 +14,7 @@ from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.configs import for_frames, surface_config, video_config
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, reading_of
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, of_panoramas, reading_of
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
 from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate
 from omnisyn_cli.io import read_header
@@ -202,7 +202,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     seconds = float(frame_count(job) / as_fraction(job.fps))
     soundtrack = None if job.audio is None else read_soundtrack(job.audio, seconds)
     tour = plan_tour(job, video_config)
-    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
+    job = replace(job, **of_panoramas(tour.job, range(len(tour.entries))))  # in the order that was found
     entries, frames = tour.entries, frame_count(job)
     size = job.size or default_size(job, tour.source_sizes)
     if job.projection == "flat":
@@ -258,6 +258,10 @@ def plan_tour(
     checks.check_choices(job)
     for image in job.images:  # before a pose file is asked about their names
         check_is_file(image)
+    if job.blur:
+        from omnisyn_cli.interpolation.blurring import check_blur  # OpenCV takes a while to import
+
+        check_blur(job)
     job, pose_file, remarks = _posed(job)
     check_names_tell_apart(job.images, pose_file)
     entries = tuple(pose_file.of(image) for image in job.images)
@@ -308,9 +312,8 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
         job.images, () if job.baseline is None else (job.baseline,), options,
         camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
     )  # fmt: skip
-    masks = tuple(job.masks[job.images.index(image)] for image in found.order if job.masks)
     return (
-        replace(job, images=tuple(found.order), masks=masks),
+        replace(job, **of_panoramas(job, [job.images.index(image) for image in found.order])),
         PoseFile(job.poses, found.panoramas, found.links),
         found.notes,
     )

@@ -1,5 +1,6 @@
 """Where files go: checks before any work begins, locks while it goes on, writing that is seen whole or not at all."""
 
+import filecmp
 import hashlib
 import os
 import platform
@@ -227,7 +228,8 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 check_output(target, overwrite)
             for file, target in zip(files, targets, strict=True):
-                file.replace(target)
+                if not (target.is_file() and filecmp.cmp(file, target, shallow=False)):  # else it keeps its date
+                    file.replace(target)
 
 
 def named_in(document: Path, own_file: re.Pattern[str]) -> set[str]:

@@ -120,7 +120,7 @@ def check_poses(
     Raises InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used;
     PoseError: no entry for one, or two of one name.
     """
-    _check_images(images)
+    check_images(images)
     check_names_tell_apart(images, pose_file)
     entries = [pose_file.of(image) for image in images]
     views = _views_with_features(images, entries, options or PictureOptions())
@@ -137,7 +137,7 @@ def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOp
     where its poses contradict the pictures, which is a mistake to be found and not an inaccuracy. Later panoramas move
     along with the earlier ones. InputError, PoseError: as :func:`check_poses`; also for a panorama that is named twice.
     """
-    _check_images(images, may_repeat=False)
+    check_images(images, may_repeat=False)
     entries, notes, changed = dict(pose_file.panoramas), [], 0
     for pair in check_poses(images, pose_file, options):
         first, second = (pose_file.of(image).pose for image in (pair.first, pair.second))
@@ -174,12 +174,12 @@ def estimate_poses(
     Raises InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks;
     PoseError: too few matches, or no floor to measure the height from.
     """
-    _check_images(images, may_repeat=False)
+    check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
     options = options or PictureOptions()
-    scans = [scan_panorama(*picture, options.threads) for picture in _usable_pictures(images, options)]
-    graph = _solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
+    scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(images, options)]
+    graph = solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
     edges, order = graph.edges, sorted(graph.poses)
     if finds_order:
         order = pose_graph.shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
@@ -203,7 +203,7 @@ def estimate_poses(
     return FoundPoses(entries, tuple(notes), len(edges), tuple(images[k] for k in order), pairs)
 
 
-def _solve_pose_graph(
+def solve_pose_graph(
     images: Sequence[Path], scans: Sequence[Scan], given: Mapping[tuple[int, int], float],
     *, must_place_all: bool, is_ordered: bool,
 ) -> PoseGraph:  # fmt: skip
@@ -321,7 +321,8 @@ def _scale(
     return length / mean, f"neighbours are taken to be {length:g} m apart{' on average' * (len(steps) > 1)}, {said}"
 
 
-def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
+def check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
+    """Refuse (InputError) fewer than two, what is no file, and unless it may, one that is named twice."""
     if len(images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(images)}; name at least a first and a second one")
     image, count = Counter(map(real_path, images)).most_common(1)[0]
@@ -343,7 +344,7 @@ def _views_with_features(
     images: Sequence[Path], entries: Sequence[PosedPanorama], options: PictureOptions
 ) -> Iterator[tuple[View, Features]]:
     """The panoramas one after the other: reduced, with their poses; and the features of the whole pictures."""
-    pictures = _usable_pictures(images, options, [entry.mask for entry in entries])
+    pictures = usable_pictures(images, options, [entry.mask for entry in entries])
     for entry, (picture, usable) in zip(entries, pictures, strict=True):
         yield (
             View(resize_area(picture, FLOOR_SIZE), entry.pose, usable),
@@ -351,7 +352,7 @@ def _views_with_features(
         )
 
 
-def _usable_pictures(
+def usable_pictures(
     images: Sequence[Path], options: PictureOptions, masks: Sequence[Path | None] = ()
 ) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
     """The panoramas one after the other, each with where it may be used: by the masks of poses and those given."""

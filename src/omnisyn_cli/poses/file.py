@@ -170,9 +170,34 @@ def write_poses(
     entries = {name: _entry_values(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
     pairs = {} if links is None else {"links": [list(link) for link in links]}
     _pose_file(target, {"version": VERSION, "panoramas": entries, **pairs}, allow_outside)  # it can be read back
-    lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
-    end = "".join(f',\n"{key}": {_json(value)}' for key, value in pairs.items())
-    write_parts(target, [f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}{end}}}\n'.encode()])
+    write_parts(target, [_text({"version": VERSION, "panoramas": entries, **pairs})])
+
+
+def add_entries(
+    source: Path, target: Path, panoramas: Mapping[str, PosedPanorama], links: Sequence[tuple[str, str]] | None
+) -> None:
+    """Write a pose file with more entries and links: every value that was there stays as it is.
+
+    PoseError: the new file lies in another folder, where names of files would mean others. Else as :func:`write_poses`.
+    """
+    if real_path(source.parent) != real_path(target.parent):
+        raise PoseError(f"{target}: expected a place beside {source}, got another folder; write it there")
+    check_output(target, overwrite=True)
+    document = read_json(source, "a pose file", MAX_FILE_BYTES)
+    entries = {name: _entry_values(target, name, panorama, False) for name, panorama in panoramas.items()}
+    document["panoramas"] = {**document["panoramas"], **entries}
+    if links is not None:
+        document["links"] = [*document["links"], *map(list, links)]
+    _pose_file(target, document, allow_outside=True)  # it can be read back
+    write_parts(target, [_text(document)])
+
+
+def _text(document: Mapping[str, Any]) -> bytes:
+    """A document with a line for every panorama."""
+    lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in document["panoramas"].items())
+    others = [f"{_json(key)}: {_json(value)}" for key, value in document.items() if key not in ("version", "panoramas")]
+    end = "".join(f",\n{other}" for other in others)
+    return f'{{"version": {document["version"]}, "panoramas": {{\n{lines}\n}}{end}}}\n'.encode()
 
 
 def check_companions_named(path: Path, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:

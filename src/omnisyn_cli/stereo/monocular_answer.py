@@ -114,7 +114,7 @@ class MonocularModel:
         else:
             size = perspective_size(self.network.size)
             rotations, half_extent = picture_rotations(), size.half_extent
-            pictures = _perspective_pictures(view, rotations, size)
+            pictures = perspective_pictures(view, rotations, size)
         answers = [self.network(np.ascontiguousarray(np.moveaxis(each, -1, 0))) for each in pictures]
         maps, readings, are_distances = zip(*answers, strict=True)
         is_distance = self.network.is_panoramic or are_distances[0]
@@ -136,7 +136,8 @@ def picture_rotations() -> Float[np.ndarray, "pictures 3 3"]:
     return np.stack(found)
 
 
-def _perspective_pictures(view: View, rotations: np.ndarray, size: PerspectiveSize) -> list[np.ndarray]:
+def perspective_pictures(view: View, rotations: np.ndarray, size: PerspectiveSize) -> list[np.ndarray]:
+    """What pictures of these orientations show of a panorama: RGB in [0, 1]."""
     rows = 2 * min(size)
     image = resize_area(view.image, (rows, 2 * rows)) if view.image.shape[0] > rows else view.image
     rays = cell_directions(size, (size[0], size[1]))

@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt
 
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, Viewer
-from omnisyn_cli.interpolation.job import TourJob, input_files
+from omnisyn_cli.interpolation.job import TourJob, input_files, of_panoramas
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary
@@ -139,7 +139,7 @@ def plan_export(job: ExportJob) -> ExportPlan:
     else:
         check_empty_folder(output, job.overwrite)
     tour = plan_tour(job)
-    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
+    job = replace(job, **of_panoramas(tour.job, range(len(tour.entries))))  # in the order that was found
     companions = (file for entry in tour.entries for file in entry.companions)
     check_kept([output], (*job.images, *input_files(job), job.poses, *companions), whole_folders=True)
     plan = ExportPlan(

@@ -16,7 +16,7 @@ from omnisyn_cli.interpolation.export.datasets import Points, joined, ply_points
 from omnisyn_cli.interpolation.export.formats import FORMATS, MAX_CLIP_ROWS, ExportPlan, ExportSummary
 from omnisyn_cli.interpolation.export.glb import GltfModel, textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
-from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob, of_panoramas
 from omnisyn_cli.interpolation.loading import (
     Loader,
     PairSurfaces,
@@ -249,8 +249,7 @@ def _clip_job(plan: ExportPlan, ends: tuple[int, int], poses: Path) -> Interpola
     job = plan.job
     asked: dict[str, Any] = {field.name: getattr(job, field.name) for field in fields(TourJob)}
     settled = {
-        "images": tuple(job.images[k] for k in ends), "masks": tuple(job.masks[k] for k in ends if job.masks),
-        "poses": poses, "allow_outside": True, "depth": plan.config.depth.kind,
+        **of_panoramas(job, ends), "poses": poses, "allow_outside": True, "depth": plan.config.depth.kind,
         "baseline": None, "camera_height": None, "refine": False, "finds_order": False, "tour": None, "is_chain": True,
         "fallback": InterpolationJob.fallback if job.fallback == TourJob.fallback else job.fallback,
     }  # fmt: skip

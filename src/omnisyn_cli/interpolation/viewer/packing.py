@@ -32,9 +32,9 @@ def level_widths(width: int, *, has_half: bool) -> list[int]:
     return [*preview, *half, width]
 
 
-def block_name(number: int) -> str:
-    """File name of a block in a folder."""
-    return f"{number:04d}.bin"
+def block_name(digest: bytes) -> str:
+    """File name of a block in a folder: one that stays has the same in the next walk."""
+    return f"{digest.hex()[:32]}.bin"
 
 
 class Blocks:
@@ -51,6 +51,11 @@ class Blocks:
     def __len__(self) -> int:
         return len(self._numbers)
 
+    @property
+    def names(self) -> list[str]:
+        """Their file names in a folder, by number."""
+        return [block_name(digest) for digest in self._numbers]
+
     def add(self, content: bytes) -> int:
         """Its number."""
         digest = hashlib.sha256(content).digest()
@@ -60,7 +65,7 @@ class Blocks:
             if self.folder is None:
                 self.contents.append(content)
             else:
-                write_parts(self.folder / block_name(self._numbers[digest]), [content])
+                write_parts(self.folder / block_name(digest), [content])
         return self._numbers[digest]
 
     def add_map(self, values: UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]) -> dict[str, int]:

@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli.interpolation.viewer.contents import RULES
-from omnisyn_cli.interpolation.viewer.packing import Blocks, block_name
+from omnisyn_cli.interpolation.viewer.packing import Blocks
 from omnisyn_cli.io.outputs import write_parts
 
 MAX_PAGE_BYTES = 32 * 2**20  # of one file: what phones open without running out of memory
@@ -23,7 +23,7 @@ SCRIPTS = (
 )  # fmt: skip
 # Files of a folder besides its blocks.
 INDEX_NAME, MODULE_NAME, MANIFEST_NAME = "index.html", "omnisyn-walk.js", "walk.json"
-NAMED_BLOCK = re.compile(r'(?<=")\d{4,}\.bin(?=")')  # names of blocks in the text of a manifest
+NAMED_BLOCK = re.compile(r'(?<=")[0-9a-f]{4,32}\.bin(?=")')  # names of blocks in the text of a manifest
 # What a folder's page shows where it cannot load its program.
 NEEDS_A_SERVER = "<p>Browsers read the files of this walk from a web server only, such as omnisyn view --serve.</p>\n"
 
@@ -42,12 +42,11 @@ def write_page(path: Path, manifest: dict[str, Any], contents: Sequence[bytes]) 
 
 def write_folder(folder: Path, manifest: dict[str, Any], blocks: Blocks) -> int:
     """Write what a folder has besides its blocks; how many bytes all of it has."""
-    names = [block_name(number) for number in range(len(blocks))]
     script = f"import {{ OmnisynWalk }} from './{MODULE_NAME}';\n{_read('page.js')}"
     files = {
         INDEX_NAME: _page(manifest["title"], NEEDS_A_SERVER, script, folder=True),
         MODULE_NAME: module_code().encode(),
-        MANIFEST_NAME: _for_script({**manifest, "files": names}).encode(),
+        MANIFEST_NAME: _for_script({**manifest, "files": blocks.names}).encode(),
     }
     for name, content in files.items():
         write_parts(folder / name, [content])

@@ -10,7 +10,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError, PoseError
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.configs import page_config
-from omnisyn_cli.interpolation.job import TourJob, input_files
+from omnisyn_cli.interpolation.job import TourJob, input_files, of_panoramas
 from omnisyn_cli.interpolation.loading import tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Footprint
@@ -114,7 +114,7 @@ def plan_view(job: ViewJob) -> ViewPlan:
             f'expected links to every panorama, got none to {listed(alone)}; add them to "links", or name the '
             "panoramas of the walk one by one"
         )
-    job = replace(job, images=tour.job.images, masks=tour.job.masks)  # in the order that was found
+    job = replace(job, **of_panoramas(tour.job, range(len(tour.entries))))  # in the order that was found
     still = (f"{where}: there is no way to walk, the page cross-fades" for where, _ in tour.pairs_at_one_place())
     notes = (*tour.notes, *still)
     return ViewPlan(job, tour.entries, tour.source_sizes, tour.config, notes, tour.tour)

@@ -19,7 +19,7 @@ CONTENT_TYPES = {
     INDEX_NAME: "text/html; charset=utf-8", MODULE_NAME: "text/javascript; charset=utf-8",
     MANIFEST_NAME: "application/json",
 }  # fmt: skip
-BLOCK_NAME = re.compile(r"\d+\.bin", re.ASCII)
+BLOCK_NAME = re.compile(r"[0-9a-f]+\.bin", re.ASCII)
 """Of files with names of their own; all others are blocks, see :mod:`omnisyn_cli.interpolation.viewer.packing`."""
 
 SOCKET_TIMEOUT_SECONDS = 30

@@ -112,7 +112,10 @@ def refine_pose(start: Pose, matches: Matches, scale: float) -> Pose:
         jacobian = _jacobian(pose, matches)
         hessian, gradient = _normal_equations(jacobian, residual, weight)
         hessian += damping * np.diag(np.diag(hessian) + 1e-12)
-        step = -np.linalg.solve(hessian, gradient)
+        try:
+            step = -np.linalg.solve(hessian, gradient)
+        except np.linalg.LinAlgError:  # no match is near enough to say anything
+            break
         tried = retract(pose, step)
         residual_there = epipolar_residual(tried, matches)
         better = np.sum(weight * residual_there**2) <= np.sum(weight * residual**2)
