@@ -1,7 +1,7 @@
-"""Relative poses from the fewest matches that determine one: five, or three between two cameras that are held upright.
+"""Relative poses from the fewest matches that determine one: five, or fewer between upright cameras.
 
 Each match gives one equation in the essential matrix, which has five degrees of freedom. Where gravity is known in both
-cameras, only the turn about it and the direction of the baseline are left: three.
+cameras, only the turn about it and the direction of the baseline are left: three, or two at one height.
 """
 
 import math
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sphere import UP
 
 CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3))
 BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
@@ -94,30 +95,37 @@ TURNS = math.radians(72.0) * np.arange(5)
 
 
 def upright_essential_candidates(
-    first: Float[np.ndarray, "batch 3 3"], second: Float[np.ndarray, "batch 3 3"]
+    first: Float[np.ndarray, "batch n 3"], second: Float[np.ndarray, "batch n 3"]
 ) -> Float[np.ndarray, "found 3 3"]:
-    """All essential matrices of samples of three matches between upright cameras, each of Frobenius norm 1.
+    """All essential matrices of samples of matches between upright cameras, each of Frobenius norm 1.
 
-    Of each sample ``first`` and ``second`` hold three unit vectors as rows, in frames whose y axis is up. At the right
-    turn the three epipolar planes share a line, the baseline: the determinant of their normals vanishes. It is a
-    trigonometric polynomial of the turn of degree 2, so there are up to four solutions.
+    Of each sample ``first`` and ``second`` hold three unit vectors as rows, in frames whose y axis is up; or two if
+    both cameras are at one height. At the right turn the epipolar planes share a line, the baseline: the determinant
+    of their normals vanishes. A level baseline lies in the horizontal plane as well. The determinant is a
+    trigonometric polynomial of the turn of degree 2 (of two matches 1), so there are up to four solutions (two).
 
     Source: Fraundorfer, Tanskanen, Pollefeys, A minimal case solution to the calibrated relative pose problem for the
     case of two known orientation angles, ECCV 2010.
     """
-    values = np.linalg.det(np.cross(first[:, None], second[:, None] @ np.swapaxes(_turns_about_up(TURNS), 1, 2)))
-    coefficients = np.fft.fft(values, axis=1)[:, [2, 1, 0, 4, 3]]  # from e^2ia to e^-2ia
+    values = np.linalg.det(_plane_normals(first[:, None], second[:, None], _turns_about_up(TURNS)))
+    degree = first.shape[1] - 1
+    coefficients = np.fft.fft(values, axis=1)[:, np.arange(degree, -degree - 1, -1)]  # from e^2ia to e^-2ia
     is_solvable = np.abs(coefficients[:, 0]) > MIN_RELATIVE_DETERMINANT * np.abs(coefficients).max(axis=1)
     first, second, coefficients = first[is_solvable], second[is_solvable], coefficients[is_solvable]
-    companion = np.zeros((len(coefficients), 4, 4), complex)
-    companion[:, np.arange(1, 4), np.arange(3)] = 1.0
+    companion = np.zeros((len(coefficients), 2 * degree, 2 * degree), complex)
+    companion[:, np.arange(1, 2 * degree), np.arange(2 * degree - 1)] = 1.0
     companion[:, 0] = -coefficients[:, 1:] / coefficients[:, :1]
     roots = np.linalg.eigvals(companion)
     sample, which = np.nonzero(np.abs(np.abs(roots) - 1.0) < MAX_MODULUS_ERROR)
     rotation = _turns_about_up(np.angle(roots[sample, which]))
-    normals = np.cross(first[sample], second[sample] @ np.swapaxes(rotation, 1, 2))
-    baseline = np.linalg.svd(normals)[2][:, 2]
+    baseline = np.linalg.svd(_plane_normals(first[sample], second[sample], rotation))[2][:, 2]
     return np.asarray(np.cross(baseline[:, None, :], np.swapaxes(rotation, 1, 2)).swapaxes(1, 2) / math.sqrt(2.0))
+
+
+def _plane_normals(first: np.ndarray, second: np.ndarray, rotation: np.ndarray) -> Float[np.ndarray, "*batch 3 3"]:
+    """Those of epipolar planes, as rows; of two matches also that of the horizontal plane."""
+    normals = np.cross(first, second @ np.swapaxes(rotation, -1, -2))
+    return np.concatenate([normals, np.broadcast_to(UP, normals.shape)], axis=-2)[..., :3, :]
 
 
 def _turns_about_up(angle: np.ndarray) -> Float[np.ndarray, "n 3 3"]:

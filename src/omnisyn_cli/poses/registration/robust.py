@@ -10,6 +10,7 @@ as many matches.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,11 +21,9 @@ from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import (
     Uncertainty,
     angle_between,
-    direction_error,
     epipolar_residual,
     is_in_front,
     refine_pose,
-    rotation_error,
     sphere_cells,
     uncertainty,
 )
@@ -36,12 +35,15 @@ from omnisyn_cli.poses.registration.minimal_solvers import (
 
 MIN_MATCHES = 8  # Five determine a pose; three more have to agree with it
 
-MAX_LOG_FALSE_ALARMS = -7.0
+MAX_LOG_FALSE_ALARMS = -8.0
 """Decimal logarithm of the number of poses that as many matches would agree with by chance.
 
 Of 200 pairs of real and ray-traced panoramas that do not see each other two are below: halls with equal floors, and two
 corners of a shop. Of 43 real pairs that do see each other 37 to 39 are.
 """
+
+# The same of a pose that ends the search.
+CLEAR_LOG_FALSE_ALARMS = -40.0
 
 # What is added where a pose contradicts the vertical edges: two directions agree within 1° once in 10,000 times.
 LOG_TESTS_WITHOUT_GRAVITY = 5.0
@@ -52,15 +54,18 @@ MAX_CLIMB_SINE = math.sin(math.radians(3.0))
 
 # Matches that determine a pose, and how many poses they leave at most: of any two cameras, of two whose verticals are
 # known, and of two that also stand at one height.
-GENERAL_MOTION, UPRIGHT_MOTION, PLANAR_MOTION = (5, 10), (3, 4), (2, 4)
+GENERAL_MOTION, UPRIGHT_MOTION, PLANAR_MOTION = (5, 10), (3, 4), (2, 2)
 # Least probability that is assumed of a wrong match to agree; fewer samples than its inverse cannot tell it.
 MIN_CHANCE = 1e-4
 
+# Inlier thresholds within which agreement is counted: within the one that makes it least likely by chance, as right
+# matches spread over a fifth of the widest, and wrong ones evenly.
+SPREADS = (1.0, 0.5, 0.25)
+
 CHANCE_SAMPLES = 150  # Matches whose directions are paired at random, each with each, to find that probability
 
-# Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing. The
-# second angle is for the choice between poses where all matches weigh the same.
-DISTINCT_ANGLE, FINE_DISTINCT_ANGLE = math.radians(5.0), math.radians(2.0)
+# Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing.
+DISTINCT_ANGLE = math.radians(2.0)
 
 CROWDED_ANGLE = math.radians(10.0)
 """Side of the cells that matches are counted in; all cells weigh the same.
@@ -77,18 +82,15 @@ MIN_INLIER_SHARE = 0.08  # Share of all matches that have to agree with a pose a
 # Pixels (of the searched image) from its epipolar circle within which a match is an inlier.
 INLIER_THRESHOLD_PIXELS = 1.0
 
-SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30  # Samples that are drawn at once, and how many times at most
+SAMPLES_PER_BATCH, MAX_BATCHES = 300, 12  # Samples that are drawn at once, and how many times at most
 
 # Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree.
 UPRIGHT_SCALE = 4.0
 
 CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among those drawn
 HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
-REFINED_HYPOTHESES = 10  # Hypotheses that are refined
+REFINED_HYPOTHESES = 6  # Hypotheses that are refined
 
-# Radians of rotation or direction from which on a known pose contradicts the one that costs least. The one that is less
-# likely by chance is right: in a corridor repeated doors have many matches, but few distinct ones.
-RIVAL_ANGLE = math.radians(5.0)
 # Share of the matches that agree with a known or an upright pose from which on no general one is looked for.
 CLEAR_SHARE = 0.6
 # Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place.
@@ -177,30 +179,30 @@ def _in_place(matches: Matches, rotation: np.ndarray, turned: np.ndarray, scale:
     return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, have_same_position=True)
 
 
-def log_false_alarms(
-    pose: Pose, matches: Matches, verticals: Verticals | None, distinct_angle: float = DISTINCT_ANGLE
-) -> float:
+def log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None) -> float:
     """Decimal logarithm of the expected number of poses that as many of unrelated matches would agree with.
 
-    Of matches within ``distinct_angle`` (radians) of each other one counts. A wrong match agrees as often as directions
+    Of matches within :data:`DISTINCT_ANGLE` of each other one counts. A wrong match agrees as often as directions
     that are paired at random: more often where all features lie near the horizon and the baseline too.
 
     Source: Moisan and Stival, A probabilistic criterion to detect rigid point matches between two images and estimate
     the fundamental matrix, IJCV 2004.
     """
     scale, (sample, solutions) = inlier_threshold(matches), _motion_kind(pose, verticals)
-    supporting = matches.select(support_mask(pose, matches, scale))
-    agreed, count = (_count_distinct(each, distinct_angle) for each in (supporting, matches))
-    if agreed <= sample:
-        return math.inf
+    residual = np.where(support_mask(pose, matches, scale), np.abs(epipolar_residual(pose, matches)), math.inf)
     some = matches.select(np.arange(0, len(matches), max(1, len(matches) // CHANCE_SAMPLES)))
     first, second = np.nonzero(~np.eye(len(some), dtype=bool))
     unrelated = Matches(some.first[first], some.second[second], matches.pixel)
     chance = max(float(support_mask(pose, unrelated, scale).mean()), MIN_CHANCE)
-    log_choices = _log_binomial(count, agreed) + _log_binomial(agreed, sample)
-    log_choices += math.log10(solutions * max(count - sample, 1))
+    count, logs = _count_distinct(matches), [math.inf]
+    for share in SPREADS:
+        agreed = _count_distinct(matches.select(residual < share * scale))
+        if agreed > sample:
+            choices = _log_binomial(count, agreed) + _log_binomial(agreed, sample)
+            logs.append(choices + (agreed - sample) * math.log10(share * chance))
+    log_tests = math.log10(solutions * max(count - sample, 1) * len(SPREADS))
     is_contradiction = verticals is not None and verticals.are_certain and (sample, solutions) == GENERAL_MOTION
-    return log_choices + (agreed - sample) * math.log10(chance) + LOG_TESTS_WITHOUT_GRAVITY * is_contradiction
+    return min(logs) + log_tests + LOG_TESTS_WITHOUT_GRAVITY * is_contradiction
 
 
 def _motion_kind(pose: Pose, verticals: Verticals | None) -> tuple[int, int]:
@@ -210,9 +212,9 @@ def _motion_kind(pose: Pose, verticals: Verticals | None) -> tuple[int, int]:
     return PLANAR_MOTION if abs(pose.position @ verticals.first) < MAX_CLIMB_SINE else UPRIGHT_MOTION
 
 
-def _count_distinct(matches: Matches, angle: float = DISTINCT_ANGLE) -> int:
+def _count_distinct(matches: Matches) -> int:
     """Matches that are no repetition of others in either panorama."""
-    return min(len(sphere_cells(each, angle)[1]) for each in (matches.first, matches.second))
+    return min(len(sphere_cells(each, DISTINCT_ANGLE)[1]) for each in (matches.first, matches.second))
 
 
 def _log_binomial(n: int, k: int) -> float:
@@ -220,22 +222,20 @@ def _log_binomial(n: int, k: int) -> float:
 
 
 def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals: Verticals | None) -> Pose:
-    """The pose that matches fit best, crowds of them with less weight; else the one least likely by chance.
+    """The pose that is least likely by chance.
 
-    Floors of equal tiles mislead where all matches weigh the same. But all that a corridor shows is crowded around its
-    two ends: so if the first pose may be by chance, another one is looked for without weights.
+    Floors of equal tiles mislead where all matches weigh the same, so samples are drawn with less weight for crowds.
+    But all that a corridor shows is crowded around its two ends: if the first pose is not clear, others are looked for
+    without weights.
     """
-    crowd_weight = _crowd_weight(matches)
-    poses = _candidates(matches, known, crowd_weight, scale, verticals)
-    if not poses:  # one picture twice: all samples are degenerate
-        return refine_pose(FORWARD_POSE, matches, scale)
-    best = min(poses, key=lambda pose: _pose_cost(pose, matches, crowd_weight, scale))
-    rivals = [p for p in poses[: len(known)] if max(rotation_error(p, best), direction_error(p, best)) > RIVAL_ANGLE]
-    best = min([best, *rivals], key=lambda pose: log_false_alarms(pose, matches, verticals)) if rivals else best
-    if log_false_alarms(best, matches, verticals) <= MAX_LOG_FALSE_ALARMS:
-        return best
-    poses += _candidates(matches, (), np.ones(len(matches)), scale, verticals)
-    return min(poses, key=lambda pose: log_false_alarms(pose, matches, verticals, FINE_DISTINCT_ANGLE))
+    poses: list[tuple[float, Pose]] = []
+    for weight in (_crowd_weight(matches), np.ones(len(matches))):
+        found = _candidates(matches, () if poses else known, weight, scale, verticals)
+        poses += [(log_false_alarms(pose, matches, verticals), pose) for pose in found]
+        if min(poses, key=itemgetter(0), default=(0.0,))[0] <= CLEAR_LOG_FALSE_ALARMS:
+            break
+    # one picture twice: all samples are degenerate
+    return min(poses, key=itemgetter(0))[1] if poses else refine_pose(FORWARD_POSE, matches, scale)
 
 
 def _candidates(
@@ -246,8 +246,9 @@ def _candidates(
     if verticals is not None:
         level = [rotation_taking(vertical, UP) for vertical in (verticals.first, verticals.second)]
         upright = Matches(matches.first @ level[0].T, matches.second @ level[1].T, matches.pixel)
-        found = _hypotheses(upright, weight, UPRIGHT_SCALE * scale, upright_essential_candidates, 3)
-        starts += _in_front(level[0].T @ found @ level[1], matches, weight, UPRIGHT_SCALE * scale)
+        for size in (2, 3):
+            found = _hypotheses(upright, weight, UPRIGHT_SCALE * scale, upright_essential_candidates, size)
+            starts += _in_front(level[0].T @ found @ level[1], matches, weight, UPRIGHT_SCALE * scale)
     refined = [refine_pose(start, matches, scale) for start in starts]
     costs = [_pose_cost(pose, matches, weight, scale) for pose in refined]
     share = 1.0 - min(costs, default=np.inf) / len(matches)
