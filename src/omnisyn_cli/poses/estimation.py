@@ -41,6 +41,7 @@ from omnisyn_cli.poses.registration.scan import (
     register_pair,
     scan_panorama,
 )
+from omnisyn_cli.poses.same_place import without_repeats
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
@@ -179,6 +180,9 @@ def estimate_poses(
     given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
     options = options or PictureOptions()
     scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(images, options)]
+    repeats: list[str] = []
+    if not given:  # distances that are given say that no two are from one place
+        images, scans, repeats = without_repeats(images, scans)
     graph = solve_pose_graph(images, scans, given, must_place_all=must_place_all, is_ordered=not finds_order)
     edges, order = graph.edges, sorted(graph.poses)
     if finds_order:
@@ -187,7 +191,7 @@ def estimate_poses(
     scale, scale_note = _scale(world, order, scans, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
-    notes += _partial_notes(images, scans)
+    notes += [*_partial_notes(images, scans), *repeats]
     if graph.contradicting:
         notes.append(f"{graph.contradicting} more match, but contradict the others and are not used")
     if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:

@@ -252,5 +252,5 @@ def _in_order(folder: Path) -> Iterator[SceneFrame]:
 def _located(frames: Sequence[SceneFrame], threads: int | None) -> Iterator[SceneFrame]:
     """The frames with the poses that all of them together give."""
     found = estimate_poses([frame.image for frame in frames], options=PictureOptions(threads=threads))
-    for frame in frames:
+    for frame in (frame for frame in frames if frame.name in found.panoramas):  # one of each place
         yield replace(frame, pose=found.panoramas[frame.name].pose)
