@@ -32,8 +32,8 @@ from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS = 0, 3, 6, 9, 11
 # First channel of each group, and their number, see :func:`fusion_input_channels`. Checkpoints depend on them.
+FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS = 0, 3, 6, 9, 11
 LOG_WEIGHT_RATIO, DEPTH_GAP, SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 13, 14, 15, 17, 18, 19, 20
 # Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway.
 MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0

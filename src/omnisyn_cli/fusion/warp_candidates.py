@@ -33,10 +33,10 @@ from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE
 from omnisyn_cli.types import SourceSampler
 
+# First channel of each group that the candidates add, and how many they add. Checkpoints depend on them.
 CROSS_VIEW, CANDIDATE_RGB, HYPOTHESIS_DEPTHS, HYPOTHESIS_OCCLUSION, CANDIDATE_DIFFERENCE = (
     INPUT_CHANNELS + k for k in (0, 12, 24, 26, 30)
 )
-# First channel of each group that the candidates add, and how many they add. Checkpoints depend on them.
 CANDIDATE_CHANNELS = 32
 # Candidates are sampled at so many times the height of the network's input, and averaged. Set by hand.
 CANDIDATE_SCALE = 2

@@ -9,10 +9,10 @@ from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame
 
+# Materials of legs, feet, boxes and gaps. Set by hand.
 BLACK_PLASTIC = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
 CARTON = Material(Pattern.PLAIN, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), grain=0.08, grain_size=0.4, detail=0.3, seed=3)
-# Materials of legs, feet, boxes and gaps. Set by hand.
 DARK_MATERIAL = Material(Pattern.PLAIN, (0.04, 0.04, 0.045), (0.03, 0.03, 0.03), grain=0.05)
 
 

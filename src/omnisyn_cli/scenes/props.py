@@ -10,12 +10,12 @@ from omnisyn_cli.scenes.materials import Material, Pattern, random_material, ton
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Shape
 
+# Materials of trees, cars and people. Set by hand.
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)
 RIM = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.25, 0.25, 0.26), grain=0.3, grain_size=0.2, gloss=0.4)
 SKIN = Material(Pattern.PLAIN, (0.62, 0.46, 0.37), (0.50, 0.36, 0.28), grain=0.1)
 HEADLIGHT = Material(Pattern.PLAIN, (0.90, 0.90, 0.86), gloss=0.6, grain=0.0)
-# Materials of trees, cars and people. Set by hand.
 TAIL_LIGHT = Material(Pattern.PLAIN, (0.50, 0.05, 0.05), gloss=0.6, grain=0.0)
 
 
