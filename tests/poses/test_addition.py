@@ -58,4 +58,6 @@ def test_what_cannot_be_added_is_refused(street: Path, tmp_path: Path, omnisyn: 
     write_image(tmp_path / "new.png", np.zeros((32, 64, 3), np.uint8))
     words = ("poses", "estimate", street / "0.png", street / "1.png", "-o", street / "more.json")
     assert "in the folder of" in omnisyn.refused(*words, "--add", tmp_path / "new.png")
-    assert "without a distance" in omnisyn.misused(*words, "--add", street / "2.png", "--baseline", 1)
+    assert "expected one of --baseline, --camera-height and --add" in omnisyn.misused(
+        *words, "--add", street / "2.png", "--baseline", 1
+    )
