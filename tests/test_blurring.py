@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper, numpy_helper
 
 from cli.cli_samples import Omnisyn, folder_arguments, write_pair
 from omnisyn_cli.interpolation.blurring import blur
@@ -35,25 +35,21 @@ def people(tmp_path: Path) -> list[Path]:
 
 def face_network(path: Path) -> Path:
     """With the inputs and outputs of YuNet: a magenta cell is a face of two cells."""
-    nodes, outputs = [helper.make_node("Conv", ["input", "weights"], ["map"])], []
     known = {"weights": np.array([0.5, -1.0, 0.5], np.float32).reshape(1, 3, 1, 1) / 255.0,
              "zero": np.float32(0), "one": np.float32(1), "rows": np.array([1, -1, 1], np.int64)}  # fmt: skip
+    nodes, outputs, make = [helper.make_node("Conv", ["input", "weights"], ["map"])], [], helper.make_node
     for side in (8, 16, 32):
-        nodes += [
-            helper.make_node("AveragePool", ["map"], [f"mean{side}"], kernel_shape=[side] * 2, strides=[side] * 2),
-            helper.make_node("Clip", [f"mean{side}", "zero", "one"], [f"score{side}"]),
-            helper.make_node("Reshape", [f"score{side}", "rows"], [f"cls_{side}"]),
-            helper.make_node("Identity", [f"cls_{side}"], [f"obj_{side}"]),
-        ]
-        for name, values in (("bbox", [0.5, 0.5, 0.69, 0.69]), ("kps", [0.5] * 10)):
-            known |= {f"no_{name}": np.zeros((1, 1, len(values)), np.float32),
-                      f"of_{name}": np.array(values, np.float32).reshape(1, 1, -1)}  # fmt: skip
-            nodes.append(helper.make_node("Mul", [f"cls_{side}", f"no_{name}"], [f"{name}{side}"]))
-            nodes.append(helper.make_node("Add", [f"{name}{side}", f"of_{name}"], [f"{name}_{side}"]))
-    for name, count in (("cls", 1), ("obj", 1), ("bbox", 4), ("kps", 10)):
-        names = [f"{name}_{side}" for side in (8, 16, 32)]
-        outputs += [helper.make_tensor_value_info(each, TensorProto.FLOAT, [1, None, count]) for each in names]
-    picture = helper.make_tensor_value_info("input", TensorProto.FLOAT, [1, 3, "height", "width"])
+        nodes += [make("AveragePool", ["map"], [f"mean{side}"], kernel_shape=[side] * 2, strides=[side] * 2),
+                  make("Clip", [f"mean{side}", "zero", "one"], [f"score{side}"]),
+                  make("Reshape", [f"score{side}", "rows"], [f"cls_{side}"])]  # fmt: skip
+        for name, values in (("obj", [1.0]), ("bbox", [0.5, 0.5, 0.69, 0.69]), ("kps", [0.5] * 10)):
+            of = np.array(values, np.float32).reshape(1, 1, -1)
+            known |= {f"no_{name}": np.zeros_like(of), f"of_{name}": of}
+            nodes.append(make("Mul", [f"cls_{side}", f"no_{name}"], [f"{name}{side}"]))
+            nodes.append(make("Add", [f"{name}{side}", f"of_{name}"], [f"{name}_{side}"]))
+        sizes = (("cls", 1), ("obj", 1), ("bbox", 4), ("kps", 10))
+        outputs += [helper.make_tensor_value_info(f"{name}_{side}", 1, [1, None, count]) for name, count in sizes]
+    picture = helper.make_tensor_value_info("input", 1, [1, 3, "height", "width"])
     weights = [numpy_helper.from_array(np.asarray(values), name) for name, values in known.items()]
     graph = helper.make_graph(nodes, "faces", [picture], outputs, weights)
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 11)], ir_version=8), str(path))
@@ -90,8 +86,8 @@ def test_what_cannot_be_blurred_is_refused(tmp_path: Path, people: list[Path], o
     words = folder_arguments(tmp_path, people, "--blur")
     assert "one mask to blur for each of 2" in omnisyn.refused(*words, tmp_path / "mask0.png")
     assert "github.com/opencv/opencv_zoo" in omnisyn.refused(*words, "auto-faces")
-    assert "got no such file" in omnisyn.refused(*words, "auto-faces", "--face-model", tmp_path / "none.onnx")
-    assert "expected a YuNet" in omnisyn.refused(*words, "auto-faces", "--face-model", people[0])
+    assert "(no such file)" in omnisyn.refused(*words, "auto-faces", "--face-model", tmp_path / "none.onnx")
+    assert "a YuNet face detector" in omnisyn.refused(*words, "auto-faces", "--face-model", people[0])
     write_image(tmp_path / "small.png", np.zeros((64, 128), np.uint8))
     small = (tmp_path / "small.png", "--blur", tmp_path / "mask1.png")
     assert "expected a mask of 512×256 pixels" in omnisyn.refused(*words, *small)

@@ -10,7 +10,8 @@ from cli.cli_samples import Omnisyn
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import rotation_angle
 from omnisyn_cli.io import write_image
-from omnisyn_cli.poses.addition import add_poses
+from omnisyn_cli.poses.addition import add_to_file
+from omnisyn_cli.poses.estimation import PictureOptions
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
@@ -48,12 +49,15 @@ def test_a_panorama_is_added_and_the_others_stay(street: Path, omnisyn: Omnisyn)
     found, truth = (read_poses(street / name).panoramas["2.png"].pose for name in ("poses.json", "truth.json"))
     assert np.degrees(rotation_angle(found.rotation.T @ truth.rotation)) < 0.5
     assert np.linalg.norm(found.position - truth.position) < 0.1
-    with pytest.raises(PoseError, match="which has a pose"):
-        add_poses(old, [street / "2.png"], read_poses(street / "poses.json"))
+    poses = read_poses(street / "poses.json")
+    with pytest.raises(PoseError, match="one that has a pose"):
+        add_to_file(old, [street / "2.png"], poses, poses.path, PictureOptions())
 
 
 def test_what_cannot_be_added_is_refused(street: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_image(tmp_path / "new.png", np.zeros((32, 64, 3), np.uint8))
     words = ("poses", "estimate", street / "0.png", street / "1.png", "-o", street / "more.json")
     assert "in the folder of" in omnisyn.refused(*words, "--add", tmp_path / "new.png")
-    assert "without a distance" in omnisyn.misused(*words, "--add", street / "2.png", "--baseline", 1)
+    assert "expected one of --baseline, --camera-height and --add" in omnisyn.misused(
+        *words, "--add", street / "2.png", "--baseline", 1
+    )

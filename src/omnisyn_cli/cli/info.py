@@ -31,7 +31,7 @@ from omnisyn_cli.cli.terminal import print_json, say
 @click.pass_context
 def info(
     context: click.Context, /, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool,
-    report: Path | None, upper_half: bool, hfov: float | None, vfov: float | None, horizon: float, **options: Any,
+    report: Path | None, **options: Any,
 ) -> None:  # fmt: skip
     """Show what the program reads in panoramas, depth files, pose files and videos.
 
@@ -45,13 +45,12 @@ def info(
     from omnisyn_cli.io import MAX_PIXELS
     from omnisyn_cli.io.placement import Reading
 
-    reading = Reading(upper_half, hfov, vfov, horizon)
+    reading = Reading(**{name: options[name] for name in ("upper_half", "hfov", "vfov", "horizon")})
     limits: dict[str, Any] = {"max_pixels": max_pixels or MAX_PIXELS, "allow_outside": allow_outside}
     describe = partial(describe_file, reading=reading, **limits)
     descriptions = show_described(context, files, describe, as_json=as_json)
     if report is not None:
-        parts = {"upper_half": upper_half, "hfov": hfov, "vfov": vfov, "horizon": horizon}
-        _report(descriptions, report, **limits, **parts, **options)
+        _report(descriptions, report, **limits, **options)
 
 
 def show_described(

@@ -262,41 +262,26 @@ def estimate(
     omnisyn poses estimate a.jpg b.jpg c.jpg --camera-height 1.6 -o poses.json
     omnisyn poses estimate a.jpg b.jpg c.jpg --add d.jpg -o poses.json --overwrite
     """  # noqa: D301 - click's \b is a backspace
-    if new:
-        if baselines or camera_height is not None:
-            raise click.UsageError("expected --add without a distance, which the poses tell, got both; leave one out")
-        _add(images, new, poses or _poses_beside(images), output, overwrite, quiet, **options)
-        return
-    if poses is not None:
+    if bool(baselines) + (camera_height is not None) + bool(new) != 1:
+        raise click.UsageError("expected one of --baseline, --camera-height and --add, got none or more; give one")
+    if poses is not None and not new:
         raise click.UsageError("expected --poses with --add only, got it alone; name new panoramas (--add NEW)")
-    if bool(baselines) == (camera_height is not None):
-        given, remedy = ("both", "leave out one of them") if baselines else ("neither", "give one")
-        raise click.UsageError(f"expected --baseline or --camera-height, got {given}; {remedy}")
-    from omnisyn_cli.io.outputs import check_kept, check_output
-    from omnisyn_cli.poses.estimation import estimate_poses
-    from omnisyn_cli.poses.file import write_poses
-
-    check_output(output, overwrite)
-    check_kept([output], images)
-    found = estimate_poses(
-        images, baselines, _picture_options(**options), camera_height=camera_height, must_place_all=require_all
-    )
-    write_poses(output, found.panoramas, links=found.links)
-    _report([*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses"], output, quiet)
-
-
-def _add(
-    images: tuple[Path, ...], new: tuple[Path, ...], poses: Path, output: Path, overwrite: bool, quiet: bool,
-    **options: Any,
-) -> None:  # fmt: skip
     from omnisyn_cli.io.outputs import check_kept, check_output
     from omnisyn_cli.poses.addition import add_to_file
-    from omnisyn_cli.poses.file import read_poses
+    from omnisyn_cli.poses.estimation import estimate_poses
+    from omnisyn_cli.poses.file import read_poses, write_poses
 
     check_output(output, overwrite)
     check_kept([output], (*images, *new))
-    pose_file = read_poses(poses, allow_outside=True)  # nothing of it is read or written but names
-    _report(add_to_file(images, new, pose_file, output, _picture_options(**options)), output, quiet)
+    pictures = _picture_options(**options)
+    if new:
+        known = read_poses(poses or _poses_beside(images), allow_outside=True)  # of its files only names are written
+        notes = add_to_file(images, new, known, output, pictures)
+    else:
+        found = estimate_poses(images, baselines, pictures, camera_height=camera_height, must_place_all=require_all)
+        write_poses(output, found.panoramas, links=found.links)
+        notes = (*found.notes, f"{output}: {len(found.panoramas)} of {len(images)} poses")
+    _report(notes, output, quiet)
 
 
 def _poses_beside(images: Sequence[Path]) -> Path:

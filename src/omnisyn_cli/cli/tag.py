@@ -11,9 +11,6 @@ from omnisyn_cli.cli.info import show_described
 from omnisyn_cli.cli.options import json_option, part_options, quiet_option
 from omnisyn_cli.cli.parameters import FilePath
 from omnisyn_cli.cli.terminal import say
-from omnisyn_cli.errors import OutputPathError
-
-SUFFIX = "-360"  # of the name of a tagged file, unless it is chosen
 
 
 @click.command()
@@ -54,9 +51,8 @@ def tag(
     if check:
         show_described(context, files, described_tags, as_json=as_json)
         return
-    if in_place and output is not None:
-        raise click.UsageError("expected -o or --in-place, got both; leave one of them out")
-    targets, reading = _targets(files, output, in_place=in_place, overwrite=overwrite), Reading(**part)
+    reading = Reading(**part)
+    targets = list(files) if in_place else _targets(files, output, overwrite)
     for file in files:
         check_taggable(file, stereo, reading, allow_aspect=allow_aspect)
     for file, target in zip(files, targets, strict=True):
@@ -65,27 +61,17 @@ def tag(
             say(f"{target}: tagged as 360°{'' if stereo == 'mono' else f', {stereo}'}")
 
 
-def _targets(files: tuple[Path, ...], output: Path | None, *, in_place: bool, overwrite: bool) -> list[Path]:
-    """Where every file goes. OutputPathError: there is something, or two go to one place."""
+def _targets(files: tuple[Path, ...], output: Path | None, overwrite: bool) -> list[Path]:
+    """Where every file goes. OutputPathError: there is something, or it is one place for several."""
+    from omnisyn_cli.errors import OutputPathError
     from omnisyn_cli.io.outputs import check_kept, check_output
 
-    if in_place:
-        return list(files)
-    if output is None:
-        targets = [file.with_name(f"{file.stem}{SUFFIX}{file.suffix}") for file in files]
-    elif output.is_dir():
-        targets = [output / file.name for file in files]
-    elif len(files) == 1:
-        targets = [output]
-    else:
-        raise OutputPathError(
-            f"{output}: expected an existing folder for {len(files)} files, got none; create it first"
-        )
+    targets = [file.with_name(f"{file.stem}-360{file.suffix}") for file in files]
+    if output is not None:
+        targets = [output / file.name for file in files] if output.is_dir() else [output] * len(files)
     if len({*targets}) < len(targets):
-        raise OutputPathError(f"{output}: expected files of different names, got two of one; tag them one by one")
+        raise OutputPathError(f"{output}: expected a folder for files of different names; tag them one by one")
     check_kept(targets, files)
-    for file, target in zip(files, targets, strict=True):
-        if target.suffix.lower() != file.suffix.lower():
-            raise OutputPathError(f"{target}: expected a name ending in '{file.suffix}', as {file.name}; change it")
+    for target in targets:
         check_output(target, overwrite)
     return targets

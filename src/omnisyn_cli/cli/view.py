@@ -103,19 +103,16 @@ def _place(job: ViewJob, new: tuple[Path, ...], *, is_quiet: bool) -> None:
     """Add panoramas to the pose file of a tour, after a look at whether the walk can be made."""
     from dataclasses import replace
 
-    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, reading_of
+    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, picture_options
     from omnisyn_cli.interpolation.viewer.run import plan_view
     from omnisyn_cli.poses.addition import add_to_file
-    from omnisyn_cli.poses.estimation import PictureOptions
     from omnisyn_cli.poses.file import read_poses
 
     if job.poses == POSES_FROM_PICTURES or job.refine:
         raise click.UsageError("expected --add with a pose file that stays, got --poses auto or --refine; leave it out")
-    plan_view(replace(job, masks=()))
-    nadir, reading = job.nadir or 0.0, reading_of(job)
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, nadir, reading)
+    plan_view(replace(job, masks=(), blur=()))
     poses = read_poses(job.poses, allow_outside=job.allow_outside)
-    notes = add_to_file(job.images, new, poses, job.poses, options)
+    notes = add_to_file(job.images, new, poses, job.poses, picture_options(job))
     for note in () if is_quiet else notes:
         say(note, err=True)
 

@@ -17,53 +17,44 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.job import FACE_MODEL_VARIABLE, FACES, TourJob, reading_of
-from omnisyn_cli.io.images import Panorama, check_mask_size, read_mask
+from omnisyn_cli.io.images import Panorama, read_mask
 from omnisyn_cli.stereo.monocular_answer import perspective_pictures, perspective_size, picture_rotations
 from omnisyn_cli.types import View
 
-CELLS_AROUND = 128  # averaged cells around the horizon, 2.8° each: half a face at 2 m. Set by hand.
-CELLS_ACROSS = 4  # of an area that is larger than they: a near face has no more
+# Averaged cells around the horizon, 2.8° each: half a face at 2 m; and across what is larger than they. Set by hand.
+CELLS_AROUND, CELLS_ACROSS = 128, 4
 # Sides of perspective pictures, of 90° each: faces of 10 pixels are found, which are 8 m away at 1280.
 MIN_PICTURE_SIDE, MAX_PICTURE_SIDE = 320, 1280
 # Least score of a face, low as a face too many does no harm; overlap from which on two are one; most of a picture.
-MIN_FACE_SCORE, MAX_OVERLAP, MAX_FACES = 0.6, 0.3, 200
+DETECTION = (0.6, 0.3, 200)
 FACE_MARGIN = 1.4  # axes of the ellipse that is blurred, in those of the box that was found
 MAX_SEARCH_ROWS = 1024  # at which faces are drawn into the area
-# What to do without the detector's file.
-REMEDY = (
-    "get face_detection_yunet_2023mar.onnx from github.com/opencv/opencv_zoo (models/face_detection_yunet), and name "
-    f"it (--face-model FILE, or {FACE_MODEL_VARIABLE} in the environment)"
-)
 
 
 def check_blur(job: TourJob) -> None:
     """Refuse (InputError) another number of mask pictures than of panoramas, or faces without a detector's file."""
-    if FACES in job.blur:
-        if len(job.blur) > 1:
-            raise InputError(f"expected {FACES} alone, or one mask for each panorama to blur, got both; name one kind")
+    if job.blur == (FACES,):
         _detector(job, MIN_PICTURE_SIDE)
-    elif job.blur and len(job.blur) != len(job.images):
+    elif FACES in job.blur or len(job.blur) not in (0, len(job.images)):
         raise InputError(
-            f"expected one mask to blur for each of {len(job.images)} panoramas, got {len(job.blur)}; name them in the "
-            f"order of the panoramas, or {FACES}"
+            f"expected one mask to blur for each of {len(job.images)} panoramas in their order, or {FACES} alone, got "
+            f"{len(job.blur)}; name as many"
         )
 
 
 def blurred_panorama(job: TourJob, index: int, panorama: Panorama) -> Panorama:
-    """A panorama of the job without what is to be blurred in it. ImageError, InputError: a mask that does not fit."""
-    size = panorama.image.shape[:2]
+    """A panorama of the job without what is to be blurred in it. ImageError: a mask cannot be read."""
     if not job.blur:
         return panorama
-    if FACES in job.blur:
-        area = face_area(panorama.image, _detector(job, _side(size[0])))
+    rows, columns = panorama.image.shape[:2]
+    if job.blur == (FACES,):
+        side = min(max(rows // 2 // 32 * 32, MIN_PICTURE_SIDE), MAX_PICTURE_SIDE)
+        area = face_area(panorama.image, _detector(job, side))
     else:
-        reading = replace(reading_of(job), view_transform=False, size=(size[0], size[1]))
-        mask = read_mask(job.blur[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
-        check_mask_size(job.blur[index], mask.shape, size)
-        area = ~mask
-    original = panorama.original
-    blurred = None if original is None else blur(original, area)
-    return replace(panorama, image=blur(panorama.image, area), original=blurred)
+        reading = replace(reading_of(job), view_transform=False, size=(rows, columns))
+        area = ~read_mask(job.blur[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
+    original = None if panorama.original is None else blur(panorama.original, area)
+    return replace(panorama, image=blur(panorama.image, area), original=original)
 
 
 def blur(
@@ -87,38 +78,36 @@ def blur(
 def face_area(image: Float[np.ndarray, "height width 3"], detector: "cv2.FaceDetectorYN") -> Bool[np.ndarray, "h w"]:
     """Where faces are in a panorama, as perspective pictures all around show them to the detector."""
     side = detector.getInputSize()[0]
-    rows, size = min(image.shape[0], MAX_SEARCH_ROWS), perspective_size((side, side))
+    rows, rotations = min(image.shape[0], MAX_SEARCH_ROWS), picture_rotations()
     directions, area = pixel_directions(rows, 2 * rows), np.zeros((rows, 2 * rows), bool)
-    view, rotations = View(image, Pose.identity()), picture_rotations()
-    for picture, rotation in zip(perspective_pictures(view, rotations, size), rotations, strict=True):
+    pictures = perspective_pictures(View(image, Pose.identity()), rotations, perspective_size((side, side)))
+    for picture, rotation in zip(pictures, rotations, strict=True):
         in_bgr = np.rint(255.0 * np.clip(picture[..., ::-1], 0.0, 1.0)).astype(np.uint8)
         _, faces = detector.detect(np.ascontiguousarray(in_bgr))
-        for left, top, width, height in () if faces is None else faces[:, :4].astype(float):
+        for left, top, *box in () if faces is None else faces[:, :4].astype(float):
             seen = directions @ rotation
             ahead = np.where(seen[..., 2] < 0.0, -seen[..., 2], np.nan)
             x, y = (0.5 * side * (1.0 + sign * seen[..., k] / ahead) for k, sign in ((0, 1.0), (1, -1.0)))
-            across, down = FACE_MARGIN * width / 2.0, FACE_MARGIN * height / 2.0
-            area |= ((x - left - width / 2.0) / across) ** 2 + ((y - top - height / 2.0) / down) ** 2 <= 1.0
+            width, height = (FACE_MARGIN * length / 2.0 for length in box)
+            area |= ((x - left - box[0] / 2.0) / width) ** 2 + ((y - top - box[1] / 2.0) / height) ** 2 <= 1.0
     return cv2.resize(area.astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-
-
-def _side(rows: int) -> int:
-    """Of perspective pictures of a panorama, a multiple of 32."""
-    return min(max(rows // 2 // 32 * 32, MIN_PICTURE_SIDE), MAX_PICTURE_SIDE)
 
 
 def _detector(job: TourJob, side: int) -> "cv2.FaceDetectorYN":
     """The detector of pictures of a side; InputError: there is no file for it, or none that it can use."""
-    named = job.face_model or os.environ.get(FACE_MODEL_VARIABLE)
-    if not named:
-        raise InputError(f"expected the file of a face detector for --blur {FACES}, got none; {REMEDY}")
-    if not Path(named).is_file():
-        raise InputError(f"{named}: expected the file of a face detector, got no such file; {REMEDY}")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it warns of choices of its own
-    try:
-        detector = cv2.FaceDetectorYN.create(str(named), "", (side, side), MIN_FACE_SCORE, MAX_OVERLAP, MAX_FACES)
-        detector.detect(np.zeros((side, side, 3), np.uint8))
-    except (cv2.error, SystemError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{named}: expected a YuNet face detector, got '{reason:.120}'; {REMEDY}") from error
-    return detector
+    named, reason = job.face_model or os.environ.get(FACE_MODEL_VARIABLE), "no such file"
+    if named and Path(named).is_file():
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # it warns of choices of its own
+        try:
+            detector = cv2.FaceDetectorYN.create(str(named), "", (side, side), *DETECTION)
+            detector.detect(np.zeros((side, side, 3), np.uint8))
+        except (cv2.error, SystemError) as error:
+            reason = f"{' '.join(str(error).split()):.120}"
+        else:
+            return detector
+    found = f"{named} ({reason})" if named else "none"
+    raise InputError(
+        f"expected the file of a YuNet face detector for --blur {FACES}, got {found}; get "
+        "face_detection_yunet_2023mar.onnx from github.com/opencv/opencv_zoo (models/face_detection_yunet), name it "
+        f"(--face-model FILE, or {FACE_MODEL_VARIABLE} in the environment)"
+    )

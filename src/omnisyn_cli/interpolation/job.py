@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Ge, Gt, Interval
 
@@ -17,6 +17,9 @@ from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
+
+if TYPE_CHECKING:
+    from omnisyn_cli.poses.estimation import PictureOptions
 
 Positive = Annotated[float, Gt(0)]
 
@@ -194,6 +197,14 @@ def of_panoramas(job: TourJob, indices: Sequence[int]) -> dict[str, Any]:
     return {
         name: files if FACES in files else tuple(files[k] for k in indices if files) for name, files in lists.items()
     }
+
+
+def picture_options(job: TourJob) -> "PictureOptions":
+    """How the panoramas of a job are read where poses are found or checked."""
+    from omnisyn_cli.poses.estimation import PictureOptions  # OpenCV takes a while to import
+
+    nadir = job.nadir or 0.0
+    return PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, nadir, reading_of(job))
 
 
 def reading_of(job: TourJob) -> Reading:

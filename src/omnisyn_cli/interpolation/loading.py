@@ -25,6 +25,7 @@ from omnisyn_cli.io import MAX_PIXELS, Panorama, read_inverse_depth, read_panora
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.poses.floor import wall_distance
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
@@ -236,6 +237,7 @@ def tour_surfaces(
         if summary is not None:
             summary.pairs[index] = check.confidence
             summary.left_out.update(loader.left_out)
+            summary.walls[index] = wall_distance((views[0].pose, views[1].pose), depths)
             if pair.is_soft:
                 summary.soft_pairs.append(index)
         yield pair

@@ -12,13 +12,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 from omnisyn_cli.interpolation.checks import check_page
-from omnisyn_cli.interpolation.job import TourJob, reading_of
+from omnisyn_cli.interpolation.job import TourJob, picture_options
 from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
-from omnisyn_cli.poses.estimation import PairDiagnosis, PictureOptions, check_poses
+from omnisyn_cli.poses.estimation import PairDiagnosis, check_poses
 from omnisyn_cli.poses.file import PoseFile, distinct_names
 from omnisyn_cli.poses.floor import height_in_depth
 from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, diagnosis_sentences
@@ -36,12 +36,8 @@ def write_pair_report(job: TourJob) -> TourPlan:
     check_page(job.output, job.overwrite)
     plan = plan_tour(job)
     poses = PoseFile(job.poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)))
-    reading = reading_of(job)
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
-    pairs = [
-        _described(plan, pair, diagnosis)
-        for pair, diagnosis in zip(tour_surfaces(plan), check_poses(job.images, poses, options), strict=True)
-    ]
+    diagnoses = check_poses(job.images, poses, picture_options(job))
+    pairs = [_described(plan, pair, each) for pair, each in zip(tour_surfaces(plan), diagnoses, strict=True)]
     loader = PackageLoader("omnisyn_cli.interpolation", "templates")
     page = Environment(loader=loader, undefined=StrictUndefined, autoescape=True).get_template("pairs.html.j2")
     title = f"{job.images[0].name} to {job.images[-1].name}"

@@ -14,7 +14,14 @@ from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.configs import for_frames, surface_config, video_config
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob, of_panoramas, reading_of
+from omnisyn_cli.interpolation.job import (
+    POSES_FROM_PICTURES,
+    InterpolationJob,
+    TourJob,
+    of_panoramas,
+    picture_options,
+    reading_of,
+)
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
 from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate
 from omnisyn_cli.io import read_header
@@ -299,10 +306,9 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     if not (is_found or job.refine):
         return job, read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
     # OpenCV takes a while to import and is needed for poses from pictures only.
-    from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
+    from omnisyn_cli.poses.estimation import estimate_poses, refine_poses
 
-    reading = reading_of(job)
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir or 0.0, reading)
+    options = picture_options(job)
     if not is_found:
         given = read_poses(job.poses, allow_outside=job.allow_outside)
         refined = refine_poses(job.images, given, options)

@@ -28,7 +28,7 @@ from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
 from omnisyn_cli.io.video import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.pipeline.factory import make_method
-from omnisyn_cli.poses.floor import height_in_depth
+from omnisyn_cli.poses.floor import height_in_depth, wall_distance
 from omnisyn_cli.render.eyes import top_bottom
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
@@ -162,6 +162,7 @@ class _PairKeeper:
         first, second = (entry.pose for entry in self._plan.entries[index : index + 2])
         if (height := height_in_depth((first, second), pair.depths)) is not None:
             self._summary.camera_heights[index] = height
+        self._summary.walls[index] = wall_distance((first, second), pair.depths)
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.cross_check, pair.prepared.soft_depths)
         self._loader.release_floats(index)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
-from omnisyn_cli.geometry.pose import interpolate_pose
+from omnisyn_cli.geometry.pose import distance_between, interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
@@ -24,6 +24,8 @@ from omnisyn_cli.synthesis.trajectory import path_length
 CONFIDENCE_WORDS = ((0.6, "high"), (0.45, "medium"), (MIN_PAIR_SCORE, "low"), (0.0, "very low"))
 # Of the sphere that may be unseen, in disagreement or inconsistent without advice about it. Set by hand.
 MAX_GOOD_SHARE = 0.02
+# Of the distance of the nearest wall that panoramas may be apart. Set by hand.
+MAX_SPACING_SHARE = 0.75
 # Eighths of a turn, clockwise from the centre of the picture.
 DIRECTIONS = (
     "ahead", "ahead to the right", "to the right", "behind to the right", "behind", "behind to the left",
@@ -45,6 +47,8 @@ class TourSummary:
     left_out: dict[int, float] = field(default_factory=dict)
     # those that soft surfaces stand for (:mod:`omnisyn_cli.synthesis.soft_surface`), by the same index
     soft_pairs: list[int] = field(default_factory=list)
+    # metres to the nearest wall or thing at the height of the cameras, by the same index
+    walls: dict[int, float | None] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)  # what was made, as plain values
 
     advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
@@ -93,7 +97,7 @@ class TourSummary:
         soft = ", on soft surfaces" if index in self.soft_pairs else ""
         yield f"confidence: {word} ({worst.score:.2f}){soft}, weakest {self.place(index, weakest)}"
         if word != CONFIDENCE_WORDS[0][1]:
-            yield f"to try: {', '.join(self._remedies(worst))} (docs/confidence.md)"
+            yield f"to try: {', '.join(self._remedies(index))} (docs/confidence.md)"
             if is_report_possible:
                 yield f"to see why: {shlex.join(self._report_command())}"
 
@@ -122,14 +126,24 @@ class TourSummary:
         more += ["--upper-half"] * job.upper_half
         return ["omnisyn", "info", *map(str, job.images), *more, "--report", "report.html"]
 
-    def _remedies(self, pair: PairConfidence) -> Iterator[str]:
+    def closer_together(self, index: int) -> str:
+        """The spacing that would do for a pair, where depth shows that it has a longer one."""
+        first, second = (self.plan.entries[view].pose for view in self.plan.pairs[index])
+        wall, spacing = self.walls.get(index), distance_between(first, second)
+        if wall is None or spacing <= MAX_SPACING_SHARE * wall:
+            return "panoramas closer together"
+        most = f"at most {MAX_SPACING_SHARE * wall:.2g} m apart here"
+        return f"panoramas {most}, not {spacing:.2g} m, as the nearest wall is {wall:.2g} m away"
+
+    def _remedies(self, index: int) -> Iterator[str]:
+        pair = self.pairs[index]
         if pair.depth_disagreement > MAX_GOOD_SHARE and self.plan.job.poses != POSES_FROM_PICTURES:
             yield "omnisyn poses check"
         if math.degrees(math.asin(pair.weakest[1])) < -MIN_STEEP_DEG and not (self.plan.job.nadir or self.left_out):
             yield "--nadir 25 if a tripod shows"
         if pair.inconsistency > MAX_GOOD_SHARE:
             yield "--mask for people and things that moved"
-        yield "panoramas closer together"
+        yield self.closer_together(index)
         if pair.score < MIN_PAIR_SCORE and self.plan.config.fallback in ("none", "soft"):
             yield self.last_remedy
 

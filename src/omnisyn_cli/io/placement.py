@@ -29,6 +29,11 @@ class Placement:
     full_width: int
 
     @property
+    def full_size(self) -> tuple[int, int]:
+        """Height and width of the sphere."""
+        return self.full_height, self.full_width
+
+    @property
     def is_whole(self) -> bool:
         """Whether the stored pixels are the whole sphere."""
         return (self.top, self.left, self.full_height, self.full_width) == (0, 0, self.height, self.width)

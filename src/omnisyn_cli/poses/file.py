@@ -174,16 +174,16 @@ def write_poses(
 
 
 def add_entries(
-    source: Path, target: Path, panoramas: Mapping[str, PosedPanorama], links: Sequence[tuple[str, str]] | None
+    known: PoseFile, target: Path, panoramas: Mapping[str, PosedPanorama], links: Sequence[tuple[str, str]] | None
 ) -> None:
     """Write a pose file with more entries and links: every value that was there stays as it is.
 
-    PoseError: the new file lies in another folder, where names of files would mean others. Else as :func:`write_poses`.
+    PoseError: the new file lies in another folder, where names of files would mean others, or places are geographic.
     """
-    if real_path(source.parent) != real_path(target.parent):
-        raise PoseError(f"{target}: expected a place beside {source}, got another folder; write it there")
-    check_output(target, overwrite=True)
-    document = read_json(source, "a pose file", MAX_FILE_BYTES)
+    if real_path(known.path.parent) != real_path(target.parent) or known.is_geographic:
+        found = "latitudes (omnisyn poses refine writes metres)" if known.is_geographic else "another folder"
+        raise PoseError(f"{target}: expected a place beside {known.path}, and positions in metres, got {found}")
+    document = read_json(known.path, "a pose file", MAX_FILE_BYTES)
     entries = {name: _entry_values(target, name, panorama, False) for name, panorama in panoramas.items()}
     document["panoramas"] = {**document["panoramas"], **entries}
     if links is not None:

@@ -34,6 +34,10 @@ MIN_DEPRESSION_SINE, MIN_LEVEL_SHARE = 0.2, 0.15
 # Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres.
 SAME_FLOOR_RATIO = 1.13
 
+# Sine of the angle (30°) from the horizon up to which there are walls; confidence from which on depth counts; share of
+# the pictures that has to be left; and of that, how much may be nearer than walls are: furniture, mistakes.
+MAX_WALL_SINE, MIN_WALL_CONFIDENCE, MIN_WALL_SHARE, WALL_QUANTILE = 0.5, 0.3, 0.03, 0.2
+
 # What floors slope by, and how many pixels outweigh that: neighbouring ones do not match independently. Without it a
 # floor of which little is seen tilts by up to 10°, and its height is off by a quarter.
 FLOOR_SLOPE, SLOPE_PIXELS = math.radians(2.0), 200.0
@@ -98,6 +102,18 @@ def height_in_depth(poses: tuple[Pose, Pose], depths: tuple[DepthEstimate, Depth
         return None
     rise = float(poses[1].position[1] - poses[0].position[1])
     return 0.5 * (first + second) if _is_same(first + rise, second) else None
+
+
+def wall_distance(poses: tuple[Pose, Pose], depths: tuple[DepthEstimate, DepthEstimate]) -> float | None:
+    """Metres from two cameras to the nearest walls around them; None where depth is hardly known at their height."""
+    found = []
+    for pose, depth in zip(poses, depths, strict=True):
+        up = pixel_directions(*depth.inverse_depth.shape) @ pose.rotation[1]
+        is_seen = (np.abs(up) < MAX_WALL_SINE) & (depth.inverse_depth > 0.0) & (depth.confidence > MIN_WALL_CONFIDENCE)
+        found.append(np.sqrt(1.0 - up[is_seen] ** 2) / depth.inverse_depth[is_seen])
+    metres = np.concatenate(found)
+    is_enough = len(metres) > MIN_WALL_SHARE * sum(depth.inverse_depth.size for depth in depths)
+    return float(np.quantile(metres, WALL_QUANTILE)) if is_enough else None
 
 
 def _height_of_one(pose: Pose, depth: DepthEstimate) -> float | None:
