@@ -302,11 +302,9 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
         camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
     )  # fmt: skip
     masks = tuple(job.masks[job.images.index(image)] for image in found.order if job.masks)
-    return (
-        replace(job, images=tuple(found.order), masks=masks),
-        PoseFile(job.poses, found.panoramas, found.links),
-        found.notes,
-    )
+    is_metric = job.baseline is not None or job.camera_height is not None
+    posed = PoseFile(job.poses, found.panoramas, found.links, is_metric=is_metric)
+    return replace(job, images=tuple(found.order), masks=masks), posed, found.notes
 
 
 def _check_pose_options(job: TourJob) -> None:

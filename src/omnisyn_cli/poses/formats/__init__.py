@@ -87,7 +87,8 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
     turned = _levelled([view.pose for view in imported.views])
     views = tuple(replace(view, pose=pose) for view, pose in zip(imported.views, turned, strict=True))
     kept = tuple(note for note in imported.notes if not note.startswith("world:"))
-    return chosen, ImportedPoses(views, (*kept, "world: up is the mean of the cameras' own"))
+    notes = (*kept, "world: up is the mean of the cameras' own")
+    return chosen, replace(imported, views=views, notes=notes)
 
 
 def _levelled(poses: Sequence[Pose]) -> list[Pose]:
