@@ -60,6 +60,7 @@ def test_blocks_are_those_that_the_manifest_names(tmp_path: Path) -> None:
     named = {level["block"] for panorama in manifest["panoramas"] for level in panorama["photo"]}
     for surface in manifest["surfaces"]:
         named |= {surface[key]["block"] for key in ("inverseDepth", "quads", "trust") if surface[key]}
+    named.add(manifest["dollhouse"]["inverseDepth"]["block"])
     blocks = {int(k): base64.b64decode(text) for k, text in re.findall(r'id="block-(\d+)">(.*?)</script>', page)}
     assert set(blocks) == named
     first = blocks[manifest["panoramas"][0]["photo"][-1]["block"]]

@@ -123,10 +123,6 @@ def test_the_wheel_and_a_click_take_the_way_that_is_looked_at(walk: WalkPage) ->
         assert here(walk) == expected
 
 
-def test_the_surface_of_a_place_is_one_for_all_its_links(walk: WalkPage) -> None:
-    assert walk.page.evaluate("omnisyn.page.world.walk.surfaces.length") == 9
-
-
 def test_the_map_shows_and_leads(walk: WalkPage) -> None:
     """By mouse, by touch and by keys; from one end of the tour to another over both crossings."""
     assert walk.page.is_visible("#map")

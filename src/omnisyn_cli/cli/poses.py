@@ -224,7 +224,8 @@ def refine(
     check_kept([output], (poses, *images))
     check_companions_named(output, pose_file.panoramas, allow_outside=allow_outside)
     refined = refine_poses(images, pose_file, _picture_options(**options))
-    write_poses(output, refined.panoramas, allow_outside=allow_outside, links=pose_file.links)
+    links, is_metric = pose_file.links, pose_file.is_metric
+    write_poses(output, refined.panoramas, allow_outside=allow_outside, links=links, is_metric=is_metric)
     _report([*refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined"], output, quiet)
 
 

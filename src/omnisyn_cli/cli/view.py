@@ -65,7 +65,7 @@ def view(
     it, in an order found from their matches.
 
     The page works offline from a double click. It shows what a video frame would show, from any place near the path.
-    Poses, masks and depth work as in `omnisyn interpolate`.
+    In it, R measures distances, and O shows the tour from outside. Poses, masks and depth work as in `interpolate`.
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace

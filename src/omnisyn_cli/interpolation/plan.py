@@ -318,11 +318,9 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
         job.images, () if job.baseline is None else (job.baseline,), options,
         camera_height=job.camera_height, must_place_all=not job.finds_order, finds_order=job.finds_order,
     )  # fmt: skip
-    return (
-        replace(job, **of_panoramas(job, [job.images.index(image) for image in found.order])),
-        PoseFile(job.poses, found.panoramas, found.links),
-        found.notes,
-    )
+    is_metric = job.baseline is not None or job.camera_height is not None
+    posed = PoseFile(job.poses, found.panoramas, found.links, is_metric=is_metric)
+    return replace(job, **of_panoramas(job, [job.images.index(image) for image in found.order])), posed, found.notes
 
 
 def _check_pose_options(job: TourJob) -> None:

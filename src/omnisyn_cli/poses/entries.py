@@ -101,6 +101,7 @@ class PoseDocument(Model):
     version: FirstVersion
     panoramas: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
     links: list[LinkEntry] | None = None
+    metric: bool = True
 
 
 class UncertaintyEntry(Model):

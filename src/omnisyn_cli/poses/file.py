@@ -3,7 +3,8 @@
 Version 1. Per panorama ``position`` with ``rotation`` ``[w, x, y, z]`` or ``matrix`` (3×3, or 4×4 that holds the
 position too; camera-to-world), or ``latitude, longitude, altitude, heading`` with ``pitch, roll``; optionally ``depth``
 and ``mask``, file names relative to the pose file, and ``title`` and ``caption``. ``links`` of the file are pairs of
-names that a tour leads between, see :mod:`omnisyn_cli.poses.tour_file`.
+names that a tour leads between, see :mod:`omnisyn_cli.poses.tour_file`. ``"metric": false`` says that the unit of
+positions is unknown.
 """
 
 import difflib
@@ -73,6 +74,7 @@ class PoseFile:
     panoramas: Mapping[str, PosedPanorama]
     links: tuple[tuple[str, str], ...] | None = None  # that a tour leads along; None where the file does not say
     is_geographic: bool = False  # whether it has places on earth, so that −z is north
+    is_metric: bool = True  # whether the unit of positions is known to be the metre
 
     def of(self, image_path: Path | str) -> PosedPanorama:
         """The entry of an image; PoseError: there is none; it names those there are."""
@@ -157,7 +159,7 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
 
 def write_poses(
     path: Path | str, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False,
-    links: Sequence[tuple[str, str]] | None = None,
+    links: Sequence[tuple[str, str]] | None = None, is_metric: bool = True,
 ) -> None:  # fmt: skip
     """Write a pose file, rotations as quaternions; an existing file is replaced.
 
@@ -168,9 +170,10 @@ def write_poses(
     target = Path(path)
     check_output(target, overwrite=True)
     entries = {name: _entry_values(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
-    pairs = {} if links is None else {"links": [list(link) for link in links]}
-    _pose_file(target, {"version": VERSION, "panoramas": entries, **pairs}, allow_outside)  # it can be read back
-    write_parts(target, [_text({"version": VERSION, "panoramas": entries, **pairs})])
+    said: dict[str, Any] = {} if links is None else {"links": [list(link) for link in links]}
+    document = {"version": VERSION, "panoramas": entries, **said, **({} if is_metric else {"metric": False})}
+    _pose_file(target, document, allow_outside)  # it can be read back
+    write_parts(target, [_text(document)])
 
 
 def add_entries(
@@ -228,7 +231,7 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
             for key, file in (("depth", entry.depth), ("mask", entry.mask))
         )
         panoramas[name] = PosedPanorama(pose, depth, mask, entry.title, entry.caption, _uncertainty(entry))
-    return PoseFile(path, panoramas, _links(path, document, panoramas), origin is not None)
+    return PoseFile(path, panoramas, _links(path, document, panoramas), origin is not None, document.metric)
 
 
 def _links(path: Path, document: PoseDocument, known: Iterable[str]) -> tuple[tuple[str, str], ...] | None:

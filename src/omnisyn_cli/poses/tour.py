@@ -95,6 +95,7 @@ class Tour:
     hotspots: tuple[Hotspot, ...] = ()  # marks with points that every panorama shows
     plan: FloorPlan | None = None  # floor plan, or None
     is_geographic: bool = False  # whether the world's −z is north
+    is_metric: bool = True  # whether its unit is known to be the metre
 
     @cached_property
     def by_name(self) -> Mapping[str, TourPanorama]:

@@ -125,7 +125,7 @@ def read_tour(
     if start.panorama not in names:
         start = StartView(names[0])
     hotspots, plan = source.hotspots(document.hotspots), source.plan()
-    return Tour(document.title or title, panoramas, links, start, hotspots, plan, poses.is_geographic)
+    return Tour(document.title or title, panoramas, links, start, hotspots, plan, poses.is_geographic, poses.is_metric)
 
 
 class _Source:

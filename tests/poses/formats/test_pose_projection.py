@@ -44,6 +44,7 @@ def test_colmap(tmp_path):
     write_text(tmp_path / "sparse" / "0" / "cameras.txt", "# comment", "1 EQUIRECTANGULAR 1024 512 1024 512")
     result = imported(tmp_path, expected="colmap")
     assert [view.name for view in result.views] == [f"pano {name}" for name in NAMES]
+    assert not result.is_metric
     check_views(result, world_to_camera(COUNT))
 
 

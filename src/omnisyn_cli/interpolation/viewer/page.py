@@ -19,7 +19,7 @@ MAX_PAGE_BYTES = 32 * 2**20  # of one file: what phones open without running out
 # Files of ``web`` that make up the module, in the order in which they need each other.
 SCRIPTS = (
     "vectors", "blocks", "shaders", "surface", "renderer", "world", "walker", "controls", "fade", "headset", "map",
-    "hotspots", "walk",
+    "hotspots", "measure", "dollhouse", "walk",
 )  # fmt: skip
 # Files of a folder besides its blocks.
 INDEX_NAME, MODULE_NAME, MANIFEST_NAME = "index.html", "omnisyn-walk.js", "walk.json"

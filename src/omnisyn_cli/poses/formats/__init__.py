@@ -93,7 +93,7 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
     turned = levelled([view.pose for view in imported.views])
     views = tuple(replace(view, pose=pose) for view, pose in zip(imported.views, turned, strict=True))
     kept = tuple(note for note in imported.notes if not note.startswith("world:"))
-    return chosen, ImportedPoses(views, (*kept, CAMERAS_UP))
+    return chosen, replace(imported, views=views, notes=(*kept, CAMERAS_UP))
 
 
 def detected_format(sources: Sequence[Path]) -> str:

@@ -58,7 +58,7 @@ def read_colmap(source: Path, options: ImportOptions) -> ImportedPoses:
         "column of their centres": whole,
         f"left out: {listed(skipped)}, whose cameras are not EQUIRECTANGULAR": skipped,
     }
-    return ImportedPoses(tuple(views), noted(notes))
+    return ImportedPoses(tuple(views), noted(notes), is_metric=False)
 
 
 def _cut_panoramas(model: Model) -> Iterator[tuple[str, str, Pose]]:

@@ -85,6 +85,7 @@ class ImportedPoses:
 
     views: tuple[ImportedView, ...]  # in the order of the source, or of the file names where it has none
     notes: tuple[str, ...]  # one line for everything that was assumed, in words for the user
+    is_metric: bool = True  # whether the unit of positions is known to be the metre
 
 
 def noted(notes: Mapping[str, object]) -> tuple[str, ...]:

@@ -101,7 +101,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
         "cameras: no camera_model, images are taken as equirectangular panoramas": undeclared,
         f"left out: {listed(skipped)}, whose camera_model is not EQUIRECTANGULAR": skipped,
     }
-    return ImportedPoses(tuple(views), noted(notes))
+    return ImportedPoses(tuple(views), noted(notes), is_metric=False)
 
 
 def nerfstudio_text(
@@ -216,7 +216,7 @@ def read_opensfm(source: Path, options: ImportOptions) -> ImportedPoses:
         f"reconstructions: {len(every)} with {counts} shots, the largest is taken": len(every) > 1,
         f"left out: {listed(skipped)}, whose cameras are not spherical": skipped,
     }
-    return ImportedPoses(tuple(views), noted(notes))
+    return ImportedPoses(tuple(views), noted(notes), is_metric=is_on_earth)
 
 
 def _is_panorama(path: Path, name: str, shot: Shot, reconstruction: Reconstruction) -> bool:
@@ -295,7 +295,7 @@ def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
     else:
         distances = f"distances: the scale of {floor} is unknown, units of the floor plan are taken as metres"
     heights = "heights: those of the cameras above the floor; panoramas are taken to be level"
-    return ImportedPoses(views, (f"floor: {floor}", distances, heights))
+    return ImportedPoses(views, (f"floor: {floor}", distances, heights), is_metric=bool(metres))
 
 
 def _floor(path: Path, tour: Tour, options: ImportOptions) -> str:

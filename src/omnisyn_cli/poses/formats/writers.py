@@ -140,14 +140,15 @@ def write_imported(
     if copy_images:
         if missing:
             raise PoseError(f"{output}: expected panoramas to copy, got no {listed(missing)}; name their folder")
-        return _write_copies(output, _named(output, imported.views, "_"), overwrite)
+        return _write_copies(output, _named(output, imported.views, "_"), overwrite, imported.is_metric)
     views, folder = _named(output, imported.views, "/"), output.parent.absolute()
     within = {
         name: view.depth.absolute()
         for name, view in views.items()
         if view.depth is not None and view.depth.absolute().is_relative_to(folder)
     }
-    write_poses(output, {name: PosedPanorama(view.pose, within.get(name)) for name, view in views.items()})
+    posed = {name: PosedPanorama(view.pose, within.get(name)) for name, view in views.items()}
+    write_poses(output, posed, is_metric=imported.is_metric)
     elsewhere = sum(view.image is not None and view.image.absolute().parent != folder for view in views.values())
     unreachable = [view.name for name, view in views.items() if view.depth is not None and name not in within]
     return noted(
@@ -178,7 +179,7 @@ def _named(output: Path, views: Sequence[ImportedView], separator: str) -> dict[
     return named
 
 
-def _write_copies(output: Path, views: Mapping[str, ImportedView], overwrite: bool) -> tuple[str, ...]:
+def _write_copies(output: Path, views: Mapping[str, ImportedView], overwrite: bool, is_metric: bool) -> tuple[str, ...]:
     depths = {
         name: f"{PurePosixPath(name).stem}_depth{view.depth.suffix}" for name, view in views.items() if view.depth
     }
@@ -199,5 +200,5 @@ def _write_copies(output: Path, views: Mapping[str, ImportedView], overwrite: bo
             name: PosedPanorama(view.pose, staged / depths[name] if name in depths else None)
             for name, view in views.items()
         }
-        write_poses(staged / output.name, entries)
+        write_poses(staged / output.name, entries, is_metric=is_metric)
     return (f"copied: {len(copies)} files into '{output.parent}'",)

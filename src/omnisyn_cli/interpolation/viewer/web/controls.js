@@ -103,7 +103,7 @@ class Controls {
     if (code in ZOOMS) this.walker.zoom(Math.exp(ZOOMS[code] * seconds));
     else if (code in TURNS) this.walker.turn(TURNS[code] * TURNING * seconds, 0);
     else if (this.isShifted && code in TILTS) this.walker.turn(0, TILTS[code] * TURNING * seconds);
-    else this.walker.step(...KEYS[code].map((part) => part * SPEED * seconds));
+    else this.walker.step(...KEYS[code].map((part) => part * this.walker.speed * seconds));
   }
 }
 

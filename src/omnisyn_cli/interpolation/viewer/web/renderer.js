@@ -162,21 +162,21 @@ class Renderer {
   // The nearest inverse depth that is seen at pixels of the picture drawn last, the least of three by three around each;
   // null where no surface is drawn. Pixels count from the lower left corner.
   nearestAt(pixels, scene, [width, height]) {
-    const { gl } = this;
     if (!pixels.length || !this.targets) return [];
-    const margin = [(this.targets.size[0] - width) / 2, (this.targets.size[1] - height) / 2];
-    const shown = scene.views.map((view, k) => view.surface && scene.t !== 1 - k);
-    const values = new Float32Array(36);
-    return pixels.map(([x, y]) => {
-      const nearest = new Array(9).fill(-1);
-      for (const k of [0, 1]) {
-        if (!shown[k]) continue;
-        gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.surfaces[k]);
-        gl.readPixels(Math.floor(x) - 1 + margin[0], Math.floor(y) - 1 + margin[1], 3, 3, gl.RGBA, gl.FLOAT, values);
-        for (let at = 0; at < 9; at++) nearest[at] = Math.max(nearest[at], values[4 * at]);
-      }
-      return shown[0] || shown[1] ? Math.min(...nearest) : null;
+    const shown = [0, 1].filter((k) => scene.views[k].surface && scene.t !== 1 - k);
+    return pixels.map((pixel) => {
+      const around = shown.map((k) => this.depthsAround(k, pixel, [width, height]));
+      return shown.length ? Math.min(...around[0].map((_, at) => Math.max(...around.map((values) => values[at])))) : null;
     });
+  }
+
+  // Inverse depths of one surface in the picture drawn last, of three by three pixels; negative where it is not.
+  depthsAround(k, [x, y], [width, height]) {
+    const { gl } = this, values = new Float32Array(36);
+    const margin = [(this.targets.size[0] - width) / 2, (this.targets.size[1] - height) / 2];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.surfaces[k]);
+    gl.readPixels(Math.floor(x) - 1 + margin[0], Math.floor(y) - 1 + margin[1], 3, 3, gl.RGBA, gl.FLOAT, values);
+    return Array.from({ length: 9 }, (_, at) => values[4 * at]);
   }
 
   // Bytes of graphics memory of what is drawn into.

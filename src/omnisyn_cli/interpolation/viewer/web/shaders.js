@@ -95,6 +95,32 @@ void main() {
 }
 `;
 
+// A coarse mesh from outside, in perspective; or flat, as seen from `flatAt` metres above, where that is not 0.
+const OUTSIDE_VERTEX = `
+uniform mat3 rotation;
+uniform vec3 position;
+uniform vec4 lens;
+uniform float flatAt;
+layout(location = 0) in vec3 point;
+layout(location = 1) in vec2 placeInPhoto;
+out vec2 place;
+
+void main() {
+  vec3 seen = rotation * point + position;
+  place = placeInPhoto;
+  gl_Position = flatAt > 0.0 ? vec4(lens.xy * seen.xy, flatAt + 0.5 * seen.z, flatAt)
+    : vec4(lens.xy * seen.xy, NEAR, -seen.z);
+}
+`;
+
+const OUTSIDE_FRAGMENT = `
+uniform sampler2D photo;
+in vec2 place;
+out vec4 shown;
+
+void main() { shown = vec4(texture(photo, place).rgb, 1.0); }
+`;
+
 const WHOLE_PICTURE = `
 void main() { gl_Position = vec4(4.0 * float(gl_VertexID & 1) - 1.0, 2.0 * float(gl_VertexID & 2) - 1.0, 0.0, 1.0); }
 `;

@@ -11,8 +11,7 @@ class Surface {
   // where the ring around a pole is cut.
   constructor(gl, map) {
     this.gl = gl;
-    this.rows = map.rows;
-    this.cols = map.cols;
+    Object.assign(this, { rows: map.rows, cols: map.cols, peak: map.peak, isGiven: map.isGiven });
     const rows = angles(map.rows, (k) => [Math.sin((k + 0.5) * Math.PI / map.rows), Math.cos((k + 0.5) * Math.PI / map.rows)]);
     const cols = angles(map.cols, (k) => [Math.sin(azimuth(k, map.cols)), -Math.cos(azimuth(k, map.cols))]);
     this.rowAngles = floatTexture(gl, gl.RG32F, gl.RG, map.rows, 1, rows);
@@ -94,6 +93,18 @@ class Surface {
       const angle = Math.acos(clamp(dot(away, tile.centre) / size, -1, 1)) - tile.radius;
       return size * Math.cos(Math.max(angle, 0)) + Math.max(tile.least * shift, tile.most * shift) >= -1e-6;
     }));
+  }
+
+  // Of a quarter of a quad in a direction of the panorama, as shaders look it up.
+  trustIn(direction) {
+    if (!this.trust) return 1;
+    const { gl } = this, { yaw, pitch } = lookOfDirection(direction), count = [2 * this.cols, 2 * this.rows];
+    const col = (Math.floor((yaw / (2 * Math.PI) + 0.5) * count[0] - 1) + count[0]) % count[0];
+    const row = clamp(Math.floor((0.5 - pitch / Math.PI) * count[1]), 0, count[1] - 1);
+    const from = attach(gl, gl.createFramebuffer(), this.trust), texel = new Uint8Array(4);
+    gl.readPixels(col, row, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, texel);
+    gl.deleteFramebuffer(from);
+    return (texel[0] / 255) ** 2;
   }
 
   dispose() {

@@ -65,6 +65,8 @@ export class OmnisynWalk extends EventTarget {
       event.preventDefault();
       this.renderer = null;
       this.world.forgetGraphics();
+      if (this.dollhouse?.isOpen) this.comeIn();
+      this.dollhouse?.forgetGraphics();
       this.say('The picture was lost; waiting for it to come back …');
     }, { signal });
     canvas.addEventListener('webglcontextrestored', () => {
@@ -116,6 +118,14 @@ export class OmnisynWalk extends EventTarget {
     this.stops = world.panoramas.map((panorama) => this.makeStop(panorama));
     this.map = new TourMap(this.root, world, (index) => this.goTo(index));
     this.hotspots = new Hotspots(this.root, world, (spot) => this.emit('hotspot', spot));
+    this.measure = new Measure(this.root, world, (x, y) => this.pointAt(x, y));
+    $('measure').addEventListener('click', () => this.toggleMeasure());
+    this.dollhouse = new Dollhouse(this.root, this.element, world, (index) => this.goTo(index), () => this.change());
+    $('outside').addEventListener('click', () => this.toggleOutside());
+    $('flat').addEventListener('click', () => this.flatten());
+    if (this.fade) this.measure.forbid('as this browser has no WebGL2');
+    else if (!this.manifest.isMetric) this.measure.forbid('as the unit of the poses is unknown: give --baseline or --camera-height, or scale them');
+    $('outside').hidden = Boolean(this.fade) || !this.manifest.dollhouse;
     const hasMap = this.options.hasControls && (!world.isChain || this.manifest.plan) && this.element.clientWidth >= PHONE_SIDE;
     this.unfold('mapper', 'map', hasMap);
     this.hasTitles = world.panoramas.some(({ name, title, caption }) => caption || title !== name.replace(/\.[^.]*$/, ''));
@@ -128,7 +138,7 @@ export class OmnisynWalk extends EventTarget {
   }
 
   key(event) {
-    if (event.key === 'Escape') this.unfold('help', 'hint', false);
+    if (event.key === 'Escape') this.escape();
     if (!isForWalk(event)) return;
     if (event.code === 'Space' && !(event.composedPath()[0] instanceof HTMLButtonElement)) {
       event.preventDefault();
@@ -137,6 +147,54 @@ export class OmnisynWalk extends EventTarget {
     else if (event.key === '?') this.$('help').click();
     else if (event.key === 'f') this.$('whole').click();
     else if (event.key === 'm') this.$('mapper').click();
+    else if (event.key === 'r') this.toggleMeasure();
+    else if (event.key === 'o') this.$('outside').click();
+    else if (event.key === 't') this.flatten();
+    else if (event.key === 'Enter' && this.measure.isOn && !(event.composedPath()[0] instanceof HTMLButtonElement)) this.pickAt(0.5, 0.5);
+  }
+
+  // Out of what was opened last.
+  escape() {
+    if (!this.$('hint').hidden) this.unfold('help', 'hint', false);
+    else if (this.dollhouse.isOpen) this.toggleOutside(false);
+    else if (!this.$('measured').hidden) this.measure.clear();
+    this.change();
+  }
+
+  toggleMeasure(isOn = !this.measure.isOn) {
+    if (isOn) this.toggleOutside(false);
+    this.measure.toggle(isOn);
+    this.change();
+  }
+
+  // Out of the walk and around the tour, or back in to where the walker stands by now.
+  toggleOutside(isOut = !this.dollhouse.isOpen) {
+    const { dollhouse, walker } = this;
+    if (isOut === dollhouse.isOpen || !this.renderer || this.$('outside').hidden) return;
+    if (isOut) {
+      this.measure.toggle(false);
+      walker.stop();
+      [this.shareInside, this.share] = [this.share, 1];
+      dollhouse.open(this.renderer, walker, this.isStill).catch((error) => {
+        this.say(`Some of the view from outside is missing: ${error.message}`);
+        this.emit('error', error);
+      });
+      this.controls.walker = dollhouse.orbit;
+    } else {
+      dollhouse.close(walker, this.isStill, () => this.comeIn());
+    }
+    this.change();
+  }
+
+  comeIn() {
+    [this.share, this.controls.walker] = [this.shareInside, this.walker];
+    this.change();
+  }
+
+  flatten() {
+    if (!this.dollhouse.isOpen) return;
+    this.dollhouse.flatten(!this.dollhouse.orbit.isFlat);
+    this.change();
   }
 
   readAddress() {
@@ -182,7 +240,8 @@ export class OmnisynWalk extends EventTarget {
     const index = typeof panorama === 'number' ? panorama : this.world.panoramas.findIndex(({ name }) => name === panorama);
     if (!this.world.panoramas[index]) return Promise.reject(new Error(`expected a panorama of this walk, got ${panorama}`));
     if (this.ending.signal.aborted) return Promise.resolve(false);
-    this.walker.goTo(index, isSudden);
+    this.walker.goTo(index, isSudden || this.dollhouse.isOpen);
+    this.toggleOutside(false);
     this.change();
     return new Promise((resolve) => { this.arrivals.push({ index, resolve }); });
   }
@@ -198,6 +257,7 @@ export class OmnisynWalk extends EventTarget {
   }
 
   togglePlay() {
+    this.toggleOutside(false);
     if (this.walker.isPlaying) this.walker.stop();
     else this.walker.play();
     this.change();
@@ -205,13 +265,52 @@ export class OmnisynWalk extends EventTarget {
 
   // A ring, a mark, or the way that leads closest to there. The stage has the pointer, so that nothing in it is clicked.
   tap(x, y) {
+    const box = this.$('stage').getBoundingClientRect(), at = [(x - box.left) / box.width, (y - box.top) / box.height];
+    if (this.measure.isOn) return this.pickAt(...at);
     const button = this.root.elementFromPoint(x, y)?.closest('button');
     if (button) return button.click();
-    const box = this.$('stage').getBoundingClientRect(), lens = lensOf(this.walker.fov, [box.width, box.height]);
-    const at = [(x - box.left) / box.width, (y - box.top) / box.height];
-    const ray = rotated(this.walker.rotation, [(2 * at[0] - 1) / lens[0], (1 - 2 * at[1]) / lens[1], -1]);
-    const way = this.walker.wayOut(headingOf(times(ray, 1 / length(ray))));
+    if (this.dollhouse.isOpen) return null;
+    const way = this.walker.wayOut(headingOf(this.rayAt(...at)));
     return way && this.goTo(way.link.ends[way.sense > 0 ? 1 : 0]);
+  }
+
+  // The direction in the world of a place in the picture: shares of its width and height, from the upper left corner.
+  rayAt(x, y) {
+    const lens = lensOf(this.walker.fov, [this.element.clientWidth, this.element.clientHeight]);
+    const ray = rotated(this.walker.rotation, [(2 * x - 1) / lens[0], (1 - 2 * y) / lens[1], -1]);
+    return times(ray, 1 / length(ray));
+  }
+
+  pickAt(x, y) {
+    this.measure.pick(x, y);
+    this.change();
+  }
+
+  // The point that is seen there, `{point, away, std}` with the direction that it was measured in and its standard
+  // deviations along and across it; null where depth is not known or may be infinite, undefined before it is unpacked.
+  pointAt(x, y) {
+    const { walker, world, renderer } = this;
+    if (!renderer || !world.isReady(walker.link)) return undefined;
+    this.draw(1);
+    const { scene, size } = this.drawn, ray = this.rayAt(x, y), { link } = walker;
+    if (scene.isCrossFade || scene.isSoft) return null; // depth is a guess there
+    const nearest = Math.round(walker.t), pixel = [x * size[0], (1 - y) * size[1]];
+    for (const k of [nearest, 1 - nearest]) {
+      const { surface, position, rotation } = scene.views[k];
+      const depths = surface ? renderer.depthsAround(k, pixel, size) : [-1], rho = depths[depths.length >> 1];
+      if (!(rho > 0)) continue;
+      const point = add(walker.position, times(ray, 1 / rho)), from = minus(point, position), distance = length(from);
+      const away = times(from, 1 / distance), trust = surface.trustIn(unrotated(rotation, away));
+      const stereo = world.inverseDepthStd(link.ends[k], away, trust);
+      const step = Math.sqrt(surface.peak / distance) / NO_SURFACE; // of the codes that depth is stored in
+      const beside = depths.filter((value) => value > 0); // a click may be off by a pixel
+      const aside = (Math.max(...beside) - Math.min(...beside)) / 2 * (distance * rho) ** -2;
+      const error = Math.hypot(stereo, step, aside);
+      if (2 * error >= 1 / distance) return null;
+      const pixels = Math.hypot(walker.fov / size[1], Math.PI / surface.rows) / 2;
+      return { point, away, std: [distance ** 2 * error, distance * pixels] };
+    }
+    return null;
   }
 
   // Loads what is needed at this place: first a small picture, then all of the link, then what lies beyond it.
@@ -292,7 +391,7 @@ export class OmnisynWalk extends EventTarget {
     const { walker } = this;
     if (walker.hasMoved) this.element.dataset.moved = '';
     const seconds = this.before === null ? 0 : Math.min((time - this.before) / 1000, 0.5);
-    const keys = this.controls.advance(seconds), isMoving = walker.advance(seconds) || keys;
+    const mover = this.controls.walker, keys = this.controls.advance(seconds), isMoving = mover.advance(seconds) || keys;
     this.before = isMoving || this.controls.held.size ? time : null;
     this.draw();
     this.showPlace();
@@ -340,18 +439,19 @@ export class OmnisynWalk extends EventTarget {
   }
 
   drawSurfaces(size) {
-    const { walker, world, renderer, gl } = this;
+    const { walker, world, renderer, gl } = this, isOutside = this.dollhouse?.isOpen;
     const scene = world.sceneAt(walker);
-    if (!scene) return;
+    if (!scene && !isOutside) return;
     const begin = performance.now();
     const eye = { position: walker.position, rotation: walker.rotation, lens: lensOf(walker.fov, size) };
     try {
-      renderer.draw(eye, scene, { viewport: [0, 0, ...size], unknown: walker.strangeness });
+      if (isOutside) this.dollhouse.draw(size);
+      else renderer.draw(eye, scene, { viewport: [0, 0, ...size], unknown: walker.strangeness });
     } catch (error) { // a shader that this browser does not take
       this.renderer = null;
       this.failed(error);
     }
-    this.drawn = { scene, size };
+    if (!isOutside) this.drawn = { scene, size };
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits, so that it can be timed
     this.milliseconds = performance.now() - begin;
@@ -370,8 +470,10 @@ export class OmnisynWalk extends EventTarget {
     $('play').dataset.state = walker.isPlaying ? 'playing' : 'paused';
     this.stops.forEach((stop, index) => this.placeStop(stop, index));
     this.map.show(walker);
-    const size = [this.canvas.clientWidth, this.canvas.clientHeight];
-    this.hotspots.show(walker, lensOf(walker.fov, size), size, (pixels) => this.nearestAt(pixels, size));
+    const size = [this.canvas.clientWidth, this.canvas.clientHeight], lens = lensOf(walker.fov, size);
+    if (this.dollhouse.isOpen) this.dollhouse.show(size);
+    else this.hotspots.show(walker, lens, size, (pixels) => this.nearestAt(pixels, size));
+    this.measure.show(walker, lens, size);
     if (this.named === walker.nearest) return;
     this.named = walker.nearest;
     const { title, caption } = world.panoramas[walker.nearest];
@@ -415,7 +517,7 @@ export class OmnisynWalk extends EventTarget {
 
   // Bytes of graphics memory that are taken: panoramas, surfaces, and what is drawn into.
   get graphicsBytes() {
-    return this.world.bytes + (this.renderer?.bytes ?? 0);
+    return this.world.bytes + (this.dollhouse?.bytes ?? 0) + (this.renderer?.bytes ?? 0);
   }
 
   // Ends it: listeners, pictures and graphics memory go, and the element is empty and can take another walk.
@@ -425,11 +527,12 @@ export class OmnisynWalk extends EventTarget {
     for (const timer of [this.settling, this.retrying]) clearTimeout(timer);
     this.sides?.disconnect();
     this.hotspots?.putAway();
+    this.dollhouse?.forgetGraphics();
     this.arrivals.splice(0).forEach(({ resolve }) => resolve(false));
     this.world?.dispose();
     this.gl?.getExtension('WEBGL_lose_context')?.loseContext();
     this.root.replaceChildren();
     this.root.adoptedStyleSheets = [];
-    for (const key of ['state', 'moved']) delete this.element.dataset[key];
+    for (const key of ['state', 'moved', 'outside']) delete this.element.dataset[key];
   }
 }

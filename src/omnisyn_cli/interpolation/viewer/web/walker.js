@@ -73,6 +73,10 @@ class Walker {
     return rotated(this.rotation, [0, 0, -1]);
   }
 
+  get speed() {
+    return SPEED;
+  }
+
   get reach() {
     return Math.max(REACH * this.link.metres, 0.05);
   }

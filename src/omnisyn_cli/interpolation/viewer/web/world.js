@@ -93,6 +93,23 @@ class World {
     return path.filter((k, at) => k !== path[at - 1]);
   }
 
+  // Standard deviation of an inverse depth that a panorama measured by stereo in a direction of the world: that of a
+  // disparity over the longest baseline across the ray. Low trust stands for more.
+  inverseDepthStd(index, direction, trust) {
+    const { position, links } = this.panoramas[index];
+    const across = links.map((link) => {
+      const way = minus(this.panoramas[this.otherEnd(link, index)].position, position);
+      return length(minus(way, times(direction, dot(way, direction))));
+    });
+    const { rows, isGiven } = this.walk.surfaces[this.surfaceOf(index)];
+    return isGiven ? 0 : DISPARITY_STD * Math.PI / rows / trust ** 2 / Math.max(...across);
+  }
+
+  surfaceOf(index) {
+    const [link] = this.panoramas[index].links;
+    return link.surfaces[link.ends.indexOf(index)];
+  }
+
   // What should be loaded, the most urgent first: all of the link that one stands in, then what fits of the next links.
   wants(walker) {
     const { link, nearest } = walker, other = this.otherEnd(link, nearest);
