@@ -17,8 +17,8 @@ from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 def test_lengths_along_a_chain_follow_from_shared_points(noise):
     poses, pairs = chain(), [(0, 1), (1, 2), (2, 3), (3, 4)]
     edges = edges_of(poses, pairs, noise)
-    lengths, is_told = pose_graph.baseline_lengths(edges, {})
-    assert is_told.all()
+    lengths, scale_of = pose_graph.baseline_lengths(edges, {})
+    assert not scale_of.any()
     true = np.array([np.linalg.norm(poses[b].position - poses[a].position) for a, b in pairs])
     np.testing.assert_allclose(lengths / lengths.mean(), true / true.mean(), rtol=1e-3 if noise == 0.0 else 0.03)
     np.testing.assert_allclose(pose_graph.baseline_lengths(edges, {(1, 2): true[1]})[0][1], true[1], rtol=1e-3)
@@ -33,6 +33,23 @@ def test_a_set_is_placed_as_it_stands():
     for k in range(5):
         assert rotation_angle((poses[0].rotation.T @ poses[k].rotation).T @ rotations[k]) < 1e-6
         np.testing.assert_allclose(found[k], poses[0].rotation.T @ poses[k].position, atol=5e-3)
+
+
+def test_directions_tell_the_scale_of_pairs_that_share_no_points():
+    poses = [*chain(), Pose(np.eye(3), np.array([1.0, 0.5, 2.0]))]
+    parts = [((0, 1), (1, 2)), ((2, 5), (4, 5)), ((0, 5),)]
+    edges = [edge for seed, part in enumerate(parts) for edge in edges_of(poses[:6], list(part), seed=seed)]
+    edges += edges_of(poses, [(2, 3), (3, 4)], seed=0)
+    rotations = pose_graph.average_rotations(edges, range(6))
+    lengths, scale_of = pose_graph.baseline_lengths(edges, {})
+    assert len({*scale_of.tolist()}) == 3
+    found = np.stack([*pose_graph.positions_of(edges, lengths, scale_of, rotations).values()])
+    true = np.stack([poses[0].rotation.T @ pose.position for pose in poses])
+    np.testing.assert_allclose(found / np.linalg.norm(found[5]), true / np.linalg.norm(true[5]), atol=0.01)
+    assert pose_graph.is_worthwhile((1, 5), edges, 6)
+    assert pose_graph.is_worthwhile((0, 6), edges, 7)
+    assert not pose_graph.is_worthwhile((0, 5), edges, 6)
+    assert not pose_graph.is_worthwhile((1, 3), edges, 6)
 
 
 def test_a_pair_that_contradicts_the_others_is_dropped():

@@ -25,7 +25,7 @@ from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
-from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
@@ -49,6 +49,11 @@ DEFAULT_BASELINE = 1.0  # Metres between two panoramas where no baseline is give
 
 # Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it.
 FLOOR_QUANTILE = 0.75
+# Relative standard deviation of a distance beyond which it is not known.
+MAX_KNOWN_SPREAD = 0.25
+# Why a pair is not used.
+TOO_FEW, CONTRADICTING = "too few matches (of {})", "a pose that contradicts other pairs"
+AMBIGUOUS = "two poses that fit about equally well (repeated tiles or windows?)"
 # Of a set that each panorama is compared with, besides its neighbours: those that share most features.
 LIKE_PANORAMAS = 2
 
@@ -109,7 +114,7 @@ class PoseGraph:
 
     poses: dict[int, Pose]  # in a world of their own; the unit is a baseline
     edges: list[Edge]  # pairs whose relative poses agree
-    contradicting: int  # the number of pairs between them that do not
+    unused: Mapping[tuple[int, int], str]  # why pairs that were compared are not among them
     adjusted: Adjustment | None  # all poses adjusted together; None of a single pair
 
 
@@ -188,14 +193,17 @@ def estimate_poses(
     if finds_order:
         order = pose_graph.shortest_path({k: pose.position for k, pose in graph.poses.items()}, edges)
     world, level_note = _levelled({k: graph.poses[k] for k in order}, scans)
-    scale, scale_note = _scale(world, order, scans, baselines, camera_height)
+    scale, scale_note = _scale(world, order, scans, edges, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
     notes += [*_partial_notes(images, scans), *repeats]
-    if graph.contradicting:
-        notes.append(f"{graph.contradicting} more match, but contradict the others and are not used")
+    for pair, reason in graph.unused.items():
+        if reason in (AMBIGUOUS, CONTRADICTING) or not graph.poses.keys() >= set(pair):
+            notes.append(f"{' and '.join(images[k].name for k in pair)} are not used: {reason}")
     if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:
         notes.append(f"left out, as nothing tells where they are: {', '.join(left_out)}")
+    if others := math.comb(len(images), 2) - len(edges) - len(graph.unused):
+        notes.append(f"{others} pairs that look less alike were not compared")
     if finds_order:
         notes.append(f"order: {', '.join(images[k].name for k in order)}")
     names, spreads = distinct_names(images), [None, *known.values()]
@@ -212,12 +220,12 @@ def solve_pose_graph(
     *, must_place_all: bool, is_ordered: bool,
 ) -> PoseGraph:  # fmt: skip
     """Rotations averaged over all pairs, positions from directions and lengths, then both adjusted to the matches."""
-    matched, tried = _matched_edges(scans, is_ordered=is_ordered)
+    matched, unused = _matched_edges(scans, is_ordered=is_ordered)
     rotations = pose_graph.average_rotations(matched, pose_graph.placed_panoramas(matched, len(images)))
     edges = pose_graph.consistent_edges(matched, rotations)
     placed = pose_graph.placed_panoramas(edges, len(images))
     if len(placed) < 2 or (must_place_all and len(placed) < len(images)):
-        raise _unplaced(images, placed, tried, _partial_notes(images, scans))
+        raise _unplaced(images, placed, unused, _partial_notes(images, scans))
     rotations = {k: rotations[k] for k in placed}
     edges = pose_graph.agreeing_edges(
         [edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered
@@ -225,39 +233,40 @@ def solve_pose_graph(
     positions = pose_graph.positions_of(edges, *pose_graph.baseline_lengths(edges, given), rotations)
     poses = {k: Pose(rotations[k], positions[k]) for k in placed}
     adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
-    contradicting = sum(edge.first in placed for edge in matched) - len(edges)
-    return PoseGraph(adjusted.poses if adjusted else poses, edges, contradicting, adjusted)
+    kept = {(edge.first, edge.second) for edge in edges}
+    unused |= {(edge.first, edge.second): CONTRADICTING for edge in matched if (edge.first, edge.second) not in kept}
+    return PoseGraph(adjusted.poses if adjusted else poses, edges, unused, adjusted)
 
 
-def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], int]]:
-    """Pairs whose relative pose is found, and all that were tried thoroughly with the number of their matches.
+def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], str]]:
+    """Pairs whose relative pose is found, and why it is not found of others that were tried.
 
-    Neighbours in an order are tried, pairs that look alike, and then what may connect the parts.
+    Neighbours in an order are tried, pairs that look alike, and then what may connect the parts or tell how long a
+    baseline is.
     """
-    count, tried = len(scans), dict[tuple[int, int], int]()
+    count, unused = len(scans), dict[tuple[int, int], str]()
     alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
     ranked = sorted(alike, key=lambda pair: (-alike[pair], pair))
     wanted = {pair for k in range(count) for pair in [p for p in ranked if k in p][:LIKE_PANORAMAS]}
-    edges = []
+    edges: list[Edge] = []
 
-    def attempt(pair: tuple[int, int], *, is_thorough: bool) -> None:
-        estimate, matches = register_pair(scans[pair[0]], scans[pair[1]], is_thorough=is_thorough)
-        if is_thorough:
-            tried[pair] = len(matches)
-        if estimate is not None:
+    def attempt(pair: tuple[int, int]) -> None:
+        estimate, matches = register_pair(scans[pair[0]], scans[pair[1]])
+        if estimate is not None and estimate.rival is None:
             agreeing, others = (matches.select(mask) for mask in (estimate.inliers, ~estimate.inliers))
             edges.append(Edge(*pair, estimate, agreeing, others))
+        else:
+            unused[pair] = (TOO_FEW if estimate is None else AMBIGUOUS).format(len(matches))
 
     neighbours = set(pairwise(range(count))) if is_ordered else set()
     for pair in sorted(wanted | neighbours):
-        attempt(pair, is_thorough=pair in neighbours)
-    for pair in [pair for pair in ranked if pair not in tried][: LIKE_PANORAMAS * count]:
-        placed = pose_graph.placed_panoramas(edges, count)
-        if len(placed) == count:
-            break
-        if (pair[0] in placed) != (pair[1] in placed):
-            attempt(pair, is_thorough=True)
-    return edges, tried
+        attempt(pair)
+    more = LIKE_PANORAMAS * count
+    for pair in ranked:
+        if more > 0 and pair not in unused and pose_graph.is_worthwhile(pair, edges, count):
+            attempt(pair)
+            more -= 1
+    return edges, unused
 
 
 def _partial_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
@@ -268,13 +277,13 @@ def _partial_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
 
 
 def _unplaced(
-    images: Sequence[Path], placed: Sequence[int], tried: Mapping[tuple[int, int], int], notes: Sequence[str]
+    images: Sequence[Path], placed: Sequence[int], unused: Mapping[tuple[int, int], str], notes: Sequence[str]
 ) -> PoseError:
-    pair = next(pair for pair in tried if len(placed) < 2 or not set(pair) <= set(placed))
+    pair = next(pair for pair in unused if len(placed) < 2 or not set(pair) <= set(placed))
     first, second = (images[k] for k in pair)
     return PoseError(
-        f"{first} and {second}: expected more matches that agree with a pose than by chance, got too few (of "
-        f"{tried[pair]}); {'; '.join([*notes, 'give their poses in a file, or take a panorama between them'])}"
+        f"{first} and {second}: expected more matches that agree with a pose than by chance, got {unused[pair]}; "
+        f"{'; '.join([*notes, 'give their poses in a file, or take a panorama between them'])}"
     )
 
 
@@ -296,33 +305,52 @@ def _levelled(world: Mapping[int, Pose], scans: Sequence[Scan]) -> tuple[dict[in
 
 
 def _scale(
-    world: Mapping[int, Pose], order: Sequence[int], scans: Sequence[Scan], baselines: Sequence[float],
-    camera_height: float | None,
+    world: Mapping[int, Pose], order: Sequence[int], scans: Sequence[Scan], edges: Sequence[Edge],
+    baselines: Sequence[float], camera_height: float | None,
 ) -> tuple[float, str]:  # fmt: skip
     """Metres per unit, and where they come from."""
     steps = [distance_between(world[a], world[b]) for a, b in pairwise(order)]
     mean = float(np.mean(steps)) or 1.0
     if camera_height is not None:
-        views = [View(scans[k].small, world[k], scans[k].usable) for k in order]
-        heights = floor_heights(list(pairwise(views)))
-        if not heights:
-            raise PoseError(
-                "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "
-                "distance between neighbours instead (--baseline)"
-            )
-        height = float(np.quantile(heights, FLOOR_QUANTILE))
-        spread = float(np.median(np.abs(np.array(heights) - height))) / height
-        note = f"{camera_height:g} m above the floor, which {len(heights)} of {len(steps)} pairs see"
-        return (
-            camera_height / height,
-            f"{note}: neighbours are {mean * camera_height / height:.2f} m apart on average"
-            + (f" (± {100.0 * spread:.0f} %)" if len(heights) > 2 else ""),
+        height, spread, source = _camera_height(world, scans, edges)
+        metres = camera_height / height
+        return metres, (
+            f"{camera_height:g} m above the floor, which {source}: neighbours are {mean * metres:.2f} m apart on "
+            f"average{'' if spread is None else ', ' + _known_within(spread)}"
         )
     if len(baselines) > 1:
         return 1.0, f"distances between neighbours as given ({', '.join(f'{length:g}' for length in baselines)} m)"
     length = baselines[0] if baselines else DEFAULT_BASELINE
     said = "as given" if baselines else "as pictures do not tell how far (--baseline)"
     return length / mean, f"neighbours are taken to be {length:g} m apart{' on average' * (len(steps) > 1)}, {said}"
+
+
+def _camera_height(
+    world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]
+) -> tuple[float, float | None, str]:
+    """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it."""
+    views = {k: View(scans[k].small, pose, scans[k].usable) for k, pose in world.items()}
+    heights = floor_heights([(views[edge.first], views[edge.second]) for edge in edges])
+    if len(heights) > 1 or (heights and len(edges) == 1):
+        height = float(np.quantile(heights, FLOOR_QUANTILE))
+        spread = float(np.median(np.abs(np.array(heights) - height))) / height if len(heights) > 2 else None
+        return height, spread, f"{len(heights)} of {len(edges)} pairs see"
+    apart = [edge for edge in edges if not edge.estimate.have_same_position]
+    points = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in apart]
+    level = level_of_points(np.concatenate([np.zeros(0), *points]))
+    if level is None:
+        raise PoseError(
+            "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "
+            "distance between neighbours instead (--baseline)"
+        )
+    return *level, "matched points tell"
+
+
+def _known_within(spread: float) -> str:
+    """What a relative standard deviation of a distance means, in words."""
+    if spread > MAX_KNOWN_SPREAD:
+        return "distance not known: too few points that other pairs see as well (take a panorama between)"
+    return f"distance known to within {max(200.0 * spread, 1.0):.0f} %"
 
 
 def check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
@@ -404,9 +432,7 @@ def _estimate_note(edge: Edge, spread: PoseUncertainty) -> str:
     if spread.position is None:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     residual, rotation = np.degrees([edge.estimate.residual, spread.rotation])
-    percent = float(f"{100.0 * spread.position:.2g}")
-    position = f"position ± {percent:g} % of the baseline" if percent < 100.0 else "position hardly known"
-    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {position}"
+    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {_known_within(spread.position)}"
 
 
 def _refinement_note(diagnosis: Diagnosis) -> str:

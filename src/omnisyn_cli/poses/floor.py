@@ -1,8 +1,8 @@
 """How high cameras stand above the floor: what a known height of the cameras makes metres of.
 
 Level planes below each pair are swept. Tables and beds are level as well, so the floor is the lowest one of those that
-fit about best. The sweeps of a set are added up: all pairs see one floor, but not one table. Where depth is known, the
-levels of its points count instead.
+fit about best. The sweeps of a set are added up: all pairs see one floor, but not one table. Where no plane fits, the
+levels of matched points count; where depth is known, those of its points.
 """
 
 import math
@@ -14,6 +14,8 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.poses.registration.features import Matches
+from omnisyn_cli.poses.registration.pose_graph import MIN_PARALLAX_PIXELS
 from omnisyn_cli.stereo.plane_sweep import AxisSweep, fit_plane, significant_support, sweep_directions
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.types import DepthEstimate, View
@@ -31,6 +33,7 @@ HEIGHT_STEP = 0.03
 # Sine of the angle (12°) below the horizon from which on depth says at which level a point is, and the share of what is
 # below that the floor has to be.
 MIN_DEPRESSION_SINE, MIN_LEVEL_SHARE = 0.2, 0.15
+MIN_LEVEL_POINTS = 25  # Matched points that have to lie at the level of a floor where no plane is found
 # Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres.
 SAME_FLOOR_RATIO = 1.13
 
@@ -95,6 +98,27 @@ def floor_heights(pairs: Sequence[tuple[View, View]]) -> list[float]:
     return [height for height in measured if height is not None]
 
 
+def height_above_points(first: Pose, second: Pose, matches: Matches) -> Float[np.ndarray, " points"]:
+    """How high the first camera stands above each point of a pair that lies well below it and has parallax."""
+    ray, other = matches.first @ first.rotation.T, matches.second @ second.rotation.T
+    parallax = np.linalg.norm(np.cross(ray, other), axis=1)
+    chosen = (parallax > math.sin(MIN_PARALLAX_PIXELS * matches.pixel)) & (ray[:, 1] < -MIN_DEPRESSION_SINE)
+    side = np.linalg.norm(np.cross(second.position - first.position, other), axis=1)
+    return np.asarray(-ray[chosen, 1] * side[chosen] / parallax[chosen])
+
+
+def level_of_points(heights: Float[np.ndarray, " points"]) -> tuple[float, float] | None:
+    """The lowest level that many points lie at, as height above them, and its relative spread; None without one."""
+    logs = np.log(heights[heights > 0.0])
+    if len(logs) < MIN_LEVEL_POINTS:
+        return None
+    floor = _level(logs, np.ones(len(logs)))
+    off = np.abs(logs[_is_same(np.exp(logs), floor)] - math.log(floor)) if floor is not None else logs[:0]
+    if floor is None or len(off) < max(MIN_LEVEL_POINTS, MIN_LEVEL_SHARE * len(logs)):
+        return None
+    return floor, float(np.median(off))
+
+
 def height_in_depth(poses: tuple[Pose, Pose], depths: tuple[DepthEstimate, DepthEstimate]) -> float | None:
     """How high two cameras stand above the floor that depth shows, the mean; None unless both show the same."""
     first, second = (_height_of_one(pose, depth) for pose, depth in zip(poses, depths, strict=True))
@@ -130,15 +154,20 @@ def _height_of_one(pose: Pose, depth: DepthEstimate) -> float | None:
     weight = (solid_angles(*size) * confidence)[is_known]
     if not weight.sum() > 0.0:
         return None
-    cells = np.floor(logs / HEIGHT_STEP).astype(int)
-    first = int(cells.min()) - 2
-    counts = np.convolve(np.bincount(cells - first, weight, cells.max() - first + 3), np.ones(3), "same")
-    floor = _lowest_level((np.arange(len(counts)) + first + 0.5) * HEIGHT_STEP, counts)
+    floor = _level(logs, weight)
     if floor is None:
         return None
     is_floor = _is_same(np.exp(logs), floor)
     share = weight[is_floor].sum() / solid_angles(*size)[is_below].sum()
     return float(np.exp(np.median(logs[is_floor]))) if share > MIN_LEVEL_SHARE else None
+
+
+def _level(logs: Float[np.ndarray, " points"], weight: Float[np.ndarray, " points"]) -> float | None:
+    """The lowest level that points of some weights lie at, from logarithms of heights above them."""
+    cells = np.floor(logs / HEIGHT_STEP).astype(int)
+    first = int(cells.min()) - 2
+    counts = np.convolve(np.bincount(cells - first, weight, cells.max() - first + 3), np.ones(3), "same")
+    return _lowest_level((np.arange(len(counts)) + first + 0.5) * HEIGHT_STEP, counts)
 
 
 def _lowest_level(logs: Float[np.ndarray, " levels"], support: Float[np.ndarray, " levels"]) -> float | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_angle
 from omnisyn_cli.poses.registration.features import Matches
@@ -28,13 +28,16 @@ MAX_SHARED_WEIGHT = 100  # Shared points beyond this make a ratio no more credib
 EQUAL_LENGTH_WEIGHT = 0.01
 
 GIVEN_LENGTH_WEIGHT = 1e4  # Weight, in shared points, of a baseline that is given
-UNTOLD_WEIGHT = 1e-4  # Factor of the weight of pairs whose baseline's length is only assumed
+UNTOLD_WEIGHT = 1e-4  # Factor of the weight of scales being equal: it decides only where directions do not
 AVERAGING_ROUNDS = 50  # Of rotation averaging, each over all panoramas; a chain needs none
 
 CONTRADICTION_ANGLE = math.radians(3.0)
 """Radians off the mean at which a pair has a quarter of its weight and from which on it contradicts the others.
 
 Right pairs are off by tenths of a degree."""
+
+# The same of directions, of which weak pairs along a corridor are off by up to 4°.
+CONTRADICTION_DIRECTION = math.radians(5.0)
 
 # Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %.
 CONTRADICTION_RATIO = 1.25
@@ -86,6 +89,14 @@ def connected_with(edges: Sequence[Edge], count: int) -> list[int]:
         old, new = sorted((group[edge.first], group[edge.second]), reverse=True)
         group = [new if label == old else label for label in group]
     return group
+
+
+def is_worthwhile(pair: tuple[int, int], edges: Sequence[Edge], count: int) -> bool:
+    """Whether comparing a pair may connect panoramas, or tell the ratio of two baselines that share no points."""
+    placed, ends = placed_panoramas(edges, count), [{edge.first, edge.second} for edge in edges]
+    sides = [(edges[a], edges[b]) for a, b in combinations(range(len(edges)), 2) if ends[a] ^ ends[b] == set(pair)]
+    does_connect = (pair[0] in placed) != (pair[1] in placed)
+    return set(pair) not in ends and (does_connect or any(_log_length_ratio(*both) is None for both in sides))
 
 
 def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int, Float[np.ndarray, "3 3"]]:
@@ -170,15 +181,16 @@ def _positions_and_contradictions(
     edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], ratios: Ratios
 ) -> tuple[dict[int, Float[np.ndarray, " 3"]], Bool[np.ndarray, " edges"]]:
     """Positions, and the pairs that do not fit them by direction or, if that is told, by length."""
-    lengths, is_told = baseline_lengths(edges, {}, ratios)
-    positions = positions_of(edges, lengths, is_told, rotations)
+    lengths, scale_of = baseline_lengths(edges, {}, ratios)
+    positions = positions_of(edges, lengths, scale_of, rotations)
     steps = np.stack([rotations[edge.first].T @ (positions[edge.second] - positions[edge.first]) for edge in edges])
     ways = np.stack([edge.estimate.first_from_second.position for edge in edges])
     along, across = np.einsum("ni,ni->n", steps, ways), np.linalg.norm(np.cross(steps, ways), axis=1)
-    tolerance = [max(CONTRADICTION_ANGLE, 3.0 * edge.estimate.uncertainty.direction) for edge in edges]
+    tolerance = [max(CONTRADICTION_DIRECTION, 3.0 * edge.estimate.uncertainty.direction) for edge in edges]
     distance = np.maximum(np.linalg.norm(steps, axis=1), 1e-9)
-    is_off = np.arctan2(across, along) > tolerance
-    is_off |= is_told & (np.abs(np.log(distance / np.maximum(lengths, 1e-9))) > math.log(CONTRADICTION_RATIO))
+    logs = np.log(distance / np.maximum(lengths, 1e-9))
+    logs -= [np.median(logs[scale_of == scale]) for scale in scale_of]
+    is_off = (np.arctan2(across, along) > tolerance) | (np.abs(logs) > math.log(CONTRADICTION_RATIO))
     is_apart = distance > MAX_IN_PLACE_SHARE * np.median(lengths[lengths > 0.0]) if lengths.any() else is_off
     return positions, np.where(lengths > 0.0, is_off, is_apart)
 
@@ -194,51 +206,58 @@ def length_ratios(edges: Sequence[Edge]) -> Ratios:
 
 def baseline_lengths(
     edges: Sequence[Edge], given: Mapping[tuple[int, int], float], ratios: Ratios | None = None
-) -> tuple[Float[np.ndarray, " edges"], Bool[np.ndarray, " edges"]]:
-    """The length of every pair's baseline, 0 where both stand in one place, and whether anything tells it.
+) -> tuple[Float[np.ndarray, " edges"], Int[np.ndarray, " edges"]]:
+    """The length of every pair's baseline, 0 where both stand in one place, and the scale that it is told in.
 
-    Logarithms of the lengths by least squares over all ratios, those that are ``given``, and 1.
+    Logarithms of the lengths by least squares over all ratios, those that are ``given``, and 1. Pairs that no ratio
+    connects have scales of their own, numbered by the first pair.
     """
     ratios = length_ratios(edges) if ratios is None else ratios
     has_length = [not edge.estimate.have_same_position for edge in edges]
-    unit = np.eye(len(edges))
+    unit, scale_of = np.eye(len(edges)), np.arange(len(edges))
     equations = [(row, 0.0, EQUAL_LENGTH_WEIGHT) for row in unit]
-    for k, edge in enumerate(edges):
-        if (length := given.get((edge.first, edge.second))) is not None:
-            equations.append((unit[k], math.log(length), GIVEN_LENGTH_WEIGHT))
+    known = [k for k, edge in enumerate(edges) if (edge.first, edge.second) in given]
+    scale_of[known] = known[0] if known else 0
+    equations += [(unit[k], math.log(given[edges[k].first, edges[k].second]), GIVEN_LENGTH_WEIGHT) for k in known]
     for (a, one), (b, other) in combinations(enumerate(edges), 2):
         ratio = ratios.get((one.first, one.second, other.first, other.second))
         if has_length[a] and has_length[b] and ratio is not None:
             equations.append((unit[a] - unit[b], ratio[0], min(ratio[1], MAX_SHARED_WEIGHT)))
+            scale_of[scale_of == max(scale_of[a], scale_of[b])] = min(scale_of[a], scale_of[b])
     rows, logs_told, weights = (np.array(each, float) for each in zip(*equations, strict=True))
     weight = np.sqrt(weights)
     logs = np.linalg.lstsq(rows * weight[:, None], logs_told * weight, rcond=None)[0]
-    is_told = np.any(rows[len(edges) :] != 0, axis=0)
-    return np.where(has_length, np.exp(logs), 0.0), is_told | ~np.array(has_length)
+    return np.where(has_length, np.exp(logs), 0.0), scale_of
 
 
 def positions_of(
     edges: Sequence[Edge],
     lengths: Float[np.ndarray, " edges"],
-    is_told: Bool[np.ndarray, " edges"],
+    scale_of: Int[np.ndarray, " edges"],
     rotations: Mapping[int, np.ndarray],
 ) -> dict[int, Float[np.ndarray, " 3"]]:
     """Positions from directions and lengths; the first panorama stands at the origin.
 
-    Pairs weigh by their matches, and less the longer they are: errors of a direction grow with the length. A length
-    that nothing tells counts only where no other pair leads.
+    Pairs weigh by their matches, and less the longer they are: errors of a direction grow with the length. Directions
+    tell the ratios of scales as well; where they do not, all scales are equal.
     """
-    placed = sorted(rotations)
-    column = {panorama: k for k, panorama in enumerate(placed)}
-    system, steps = np.zeros((len(edges) + 1, len(placed))), np.zeros((len(edges) + 1, 3))
+    column = {panorama: 3 * k for k, panorama in enumerate(sorted(rotations))}
+    scales, which = np.unique(scale_of, return_inverse=True)
+    counts, scale_column = np.bincount(which), 3 * len(column) + which
+    system = np.zeros((3 * len(edges) + len(scales) + 3, 3 * len(column) + len(scales)))
     shortest = float(np.min(lengths[lengths > 0], initial=1.0))
     for k, (edge, length) in enumerate(zip(edges, lengths, strict=True)):
-        weight = math.sqrt(edge.weight) / max(float(length), shortest) * (1.0 if is_told[k] else UNTOLD_WEIGHT)
-        system[k, column[edge.second]], system[k, column[edge.first]] = weight, -weight
-        steps[k] = weight * length * (rotations[edge.first] @ edge.estimate.first_from_second.position)
-    system[-1, 0] = np.abs(system).max(initial=1.0)
-    found = np.linalg.lstsq(system, steps, rcond=None)[0]
-    return {panorama: found[k] - found[0] for panorama, k in column.items()}
+        rows, weight = slice(3 * k, 3 * k + 3), math.sqrt(edge.weight) / max(float(length), shortest)
+        for panorama, sign in ((edge.second, weight), (edge.first, -weight)):
+            system[rows, column[panorama] : column[panorama] + 3] = sign * np.eye(3)
+        step = length * (rotations[edge.first] @ edge.estimate.first_from_second.position)
+        system[rows, scale_column[k]] = -weight * step
+    largest, told = np.abs(system).max(initial=1.0), np.zeros(len(system))
+    weights = np.where(np.arange(len(scales)) == counts.argmax(), largest, UNTOLD_WEIGHT * largest)
+    system[3 * len(edges) : -3, 3 * len(column) :], told[3 * len(edges) : -3] = np.diag(weights), weights
+    system[-3:, :3] = largest * np.eye(3)
+    found = np.linalg.lstsq(system, told, rcond=None)[0]
+    return {panorama: found[k : k + 3] - found[:3] for panorama, k in column.items()}
 
 
 def shortest_path(positions: Mapping[int, np.ndarray], edges: Sequence[Edge]) -> list[int]:

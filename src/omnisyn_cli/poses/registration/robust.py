@@ -21,9 +21,11 @@ from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import (
     Uncertainty,
     angle_between,
+    direction_error,
     epipolar_residual,
     is_in_front,
     refine_pose,
+    rotation_error,
     sphere_cells,
     uncertainty,
 )
@@ -91,6 +93,9 @@ CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among
 HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
 REFINED_HYPOTHESES = 6  # Hypotheses that are refined
 
+# Radians of rotation or direction from which on another pose is a rival, and its logarithm over that of the best pose.
+RIVAL_ANGLE, RIVAL_SHARE = math.radians(10.0), 0.6
+
 # Share of the matches that agree with a known or an upright pose from which on no general one is looked for.
 CLEAR_SHARE = 0.6
 # Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place.
@@ -108,6 +113,7 @@ class Estimate:
     residual: float  # their median angle to the epipolar circles, or to the rotated directions if in place; radians
     uncertainty: Uncertainty  # of rotation and direction
     have_same_position: bool  # the panoramas were taken (nearly) from one place; there is no direction
+    rival: Pose | None = None  # quite another pose that the other matches support nearly as well; None without one
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ def estimate_relative_pose(
     if len(matches) < MIN_MATCHES:
         return None
     scale = inlier_threshold(matches)
-    pose = _best_pose(matches, known, scale, verticals)
+    pose, *others = _likely_poses(matches, known, scale, verticals)
     inliers = support_mask(pose, matches, scale)
     rotation = _best_rotation(matches, scale)
     turned = _rotation_residual(rotation, matches)
@@ -146,7 +152,24 @@ def estimate_relative_pose(
     if in_place >= MIN_ROTATION_ONLY_SHARE * count or spread.direction > MAX_DIRECTION_STD:
         return _in_place(matches, rotation, turned, scale) if is_turn else None
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
-    return Estimate(pose, inliers, residual, spread, have_same_position=False)
+    rival = _rival(pose, others, matches, verticals)
+    return Estimate(pose, inliers, residual, spread, have_same_position=False, rival=rival)
+
+
+def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Verticals | None) -> Pose | None:
+    """Of ``others``, the likeliest first, one that matches of its own support nearly as well as a pose has its own.
+
+    Tiles and rows of windows are matched to their neighbours, so that a shift of the camera by one of them fits too.
+    """
+    scale = inlier_threshold(matches)
+    for other in others:
+        if max(rotation_error(other, pose), direction_error(other, pose)) > RIVAL_ANGLE:
+            supporting = [support_mask(each, matches, scale) for each in (pose, other)]
+            own, its = (matches.select(~mask) for mask in supporting[::-1])
+            limit = min(MAX_LOG_FALSE_ALARMS, RIVAL_SHARE * log_false_alarms(pose, own, verticals))
+            if min(len(own), len(its)) > 0 and log_false_alarms(other, its, verticals) < limit:
+                return other
+    return None
 
 
 def estimate_from_subset(
@@ -221,8 +244,8 @@ def _log_binomial(n: int, k: int) -> float:
     return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10.0)
 
 
-def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals: Verticals | None) -> Pose:
-    """The pose that is least likely by chance.
+def _likely_poses(matches: Matches, known: Sequence[Pose], scale: float, verticals: Verticals | None) -> list[Pose]:
+    """The pose that is least likely by chance, and others that may be none.
 
     Floors of equal tiles mislead where all matches weigh the same, so samples are drawn with less weight for crowds.
     But all that a corridor shows is crowded around its two ends: if the first pose is not clear, others are looked for
@@ -232,10 +255,12 @@ def _best_pose(matches: Matches, known: Sequence[Pose], scale: float, verticals:
     for weight in (_crowd_weight(matches), np.ones(len(matches))):
         found = _candidates(matches, () if poses else known, weight, scale, verticals)
         poses += [(log_false_alarms(pose, matches, verticals), pose) for pose in found]
-        if min(poses, key=itemgetter(0), default=(0.0,))[0] <= CLEAR_LOG_FALSE_ALARMS:
+        poses.sort(key=itemgetter(0))
+        if poses and poses[0][0] <= CLEAR_LOG_FALSE_ALARMS:
             break
     # one picture twice: all samples are degenerate
-    return min(poses, key=itemgetter(0))[1] if poses else refine_pose(FORWARD_POSE, matches, scale)
+    likely = [pose for logs, pose in poses[1:] if logs <= MAX_LOG_FALSE_ALARMS]
+    return [poses[0][1] if poses else refine_pose(FORWARD_POSE, matches, scale), *likely]
 
 
 def _candidates(

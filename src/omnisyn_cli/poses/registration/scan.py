@@ -7,7 +7,7 @@ normals of their planes are horizontal. Cameras are taken to be held upright wit
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import cv2
@@ -169,8 +169,8 @@ ENOUGH_INLIERS, ENOUGH_SHARE = 60, 0.25
 MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 
 # How unlikely such a direction has to be by chance. (In a real corridor of equal doors pictures agreed 2.8 times better
-# with a wrong direction, whose logarithm was −9.)
-MAX_RIVAL_LOG_FALSE_ALARMS = -20.0
+# with a wrong direction.)
+MAX_RIVAL_LOG_FALSE_ALARMS = -40.0
 # Directions to the other side that two matches each propose, and how many of the best are counted exactly.
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
 
@@ -252,18 +252,17 @@ def likeness(first: Scan, second: Scan) -> int:
     return len(match_features(*(scan.features.strongest(LIKENESS_FEATURES) for scan in (first, second))))
 
 
-def register_pair(first: Scan, second: Scan, *, is_thorough: bool = True) -> tuple[Estimate | None, Matches]:
+def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
     """The relative pose of two panoramas, and the matches that it was found from.
 
-    Where few matches agree, walls and floors are compared as well, if the search is thorough.
+    Where few matches agree, walls and floors are compared as well.
     """
     verticals = Verticals(first.zenith, second.zenith, first.vertical.is_certain and second.vertical.is_certain)
     matches = match_features(first.features, second.features)
     estimate = estimate_relative_pose(matches, verticals=verticals)
     is_enough = estimate is not None and estimate.inliers.sum() >= max(ENOUGH_INLIERS, ENOUGH_SHARE * len(matches))
-    if is_enough or not is_thorough:
-        kept = estimate if is_enough else None
-        return _with_right_direction(first, second, kept, matches, verticals), matches
+    if is_enough:
+        return _with_right_direction(first, second, estimate, matches, verticals), matches
     known = [] if estimate is None or estimate.have_same_position else [estimate.first_from_second]
     matches += match_levelled_features(first.levelled, second.levelled)
     estimate = estimate_relative_pose(matches, known, verticals)
@@ -273,24 +272,36 @@ def register_pair(first: Scan, second: Scan, *, is_thorough: bool = True) -> tup
 def _with_right_direction(
     first: Scan, second: Scan, estimate: Estimate | None, matches: Matches, verticals: Verticals | None
 ) -> Estimate | None:
-    """The estimate; that of a direction to the other side where the pictures agree better with it, or None without one.
+    """The estimate; that of its rival where the pictures agree better with it, or None without one.
 
-    Repeated things can be matched to their neighbours, which are displaced the other way.
+    Repeated things can be matched to their neighbours, which are displaced the other way. A rival that the pictures
+    agree with about as well stays the rival.
     """
     if estimate is None or estimate.have_same_position:
         return estimate
-    pose, others = estimate.first_from_second, matches.select(~estimate.inliers)  # far ones agree with both
-    rival, support = _best_rival(pose, others)
-    if support < MIN_RIVAL_SHARE * int(estimate.inliers.sum()):
-        return estimate
-    rival = refine_pose(rival, others, inlier_threshold(matches))
-    if log_false_alarms(rival, matches, verticals) > MAX_RIVAL_LOG_FALSE_ALARMS:
+    pose = estimate.first_from_second
+    rival = estimate.rival or _opposite_rival(pose, estimate.inliers, matches, verticals)
+    if rival is None:
         return estimate
     agreement = [dense_agreement(first.view, second.view, each) for each in (pose, rival)]
+    if agreement[0] >= MIN_AGREEMENT_RATIO * agreement[1]:
+        return replace(estimate, rival=None)
     if agreement[1] < MIN_AGREEMENT_RATIO * agreement[0]:
         return estimate
     other = estimate_from_subset(matches, ~estimate.inliers, [rival], verticals)
     return None if other is None or other.have_same_position else other
+
+
+def _opposite_rival(
+    pose: Pose, inliers: Bool[np.ndarray, " n"], matches: Matches, verticals: Verticals | None
+) -> Pose | None:
+    """A pose of a direction to the other side that many other matches agree with; None without one."""
+    others = matches.select(~inliers)  # far ones agree with both
+    rival, support = _best_rival(pose, others)
+    if support < MIN_RIVAL_SHARE * int(inliers.sum()):
+        return None
+    rival = refine_pose(rival, others, inlier_threshold(others))
+    return rival if log_false_alarms(rival, matches, verticals) <= MAX_RIVAL_LOG_FALSE_ALARMS else None
 
 
 def _best_rival(pose: Pose, others: Matches) -> tuple[Pose, int]:
