@@ -2,8 +2,8 @@
 
 Vertical edges tell the axis to a fraction of a degree, but not its end, and in rooms other edges are as straight.
 Light, texture and colour around the ends of an axis tell the rest, though not always. Weights are those of a logistic
-regression on 98 real and generated panoramas. With the scenes that are judged left out, 81 % of upside-down pictures
-are recognised and 54 % of those rolled by 90°; one upright picture in a hundred is taken for rolled.
+regression on 98 real and generated panoramas. Of 30 real ones that were turned, 21 upside-down ones were named and 20
+that were rolled by 90°; of these 30 upright ones a dark corridor was taken for rolled.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ END_WEIGHTS = np.array([5.65, -1.45, 20.2, 4.08])
 # Of the texture of the caps less that of the belt, and of the share of contrast that lies between circles of latitude.
 AXIS_WEIGHTS = np.array([-1.98, 8.05])
 # Logarithms of odds from which on a picture is called upside down, and rolled instead of upright.
-MIN_END_EVIDENCE, MIN_AXIS_EVIDENCE = 1.2, 1.5
+MIN_END_LOG_ODDS, MIN_AXIS_LOG_ODDS = 1.2, 1.5
 MIN_USABLE_SHARE = 0.75  # of the pixels; parts of the sphere lack the caps
 MAX_STEP, MIN_STEP, PLAIN_STEP = 0.2, 0.003, 0.004  # differences of neighbouring pixels, in [0, 1]
 LATITUDES = 16  # circles of equal width that contrast is measured between
@@ -76,17 +76,17 @@ def gravity_of(
     maps = np.stack([grey, np.log(step + MIN_STEP), green, step < PLAIN_STEP])
     along = [directions @ vertical.up for vertical in verticals]
     ends = [float(END_WEIGHTS @ (_mean(maps, area * (a > CAP)) - _mean(maps, area * (a < -CAP)))) for a in along]
-    axes = [_axis_evidence(maps, a, area) for a in along]
+    axes = [_axis_log_odds(maps, a, area) for a in along]
     best = int(np.argmax(axes))
-    is_rolled = axes[best] - axes[0] > MIN_AXIS_EVIDENCE and abs(ends[best]) > MIN_END_EVIDENCE
+    is_rolled = axes[best] - axes[0] > MIN_AXIS_LOG_ODDS and abs(ends[best]) > MIN_END_LOG_ODDS
     if not (is_rolled and verticals[best].is_certain):
         best = 0
-    up = verticals[best].up * (-1.0 if ends[best] < (0.0 if best else -MIN_END_EVIDENCE) else 1.0)
+    up = verticals[best].up * (-1.0 if ends[best] < (0.0 if best else -MIN_END_LOG_ODDS) else 1.0)
     attitude = "rolled by 90°" if best else "upright" if up @ UP > 0 else "upside down"
     return Gravity(Vertical(up, verticals[best].std, verticals[best].is_certain), attitude)
 
 
-def _axis_evidence(maps: np.ndarray, along: np.ndarray, area: np.ndarray) -> float:
+def _axis_log_odds(maps: np.ndarray, along: np.ndarray, area: np.ndarray) -> float:
     """How much an axis looks like the vertical: its caps are plain, and light changes from circle to circle."""
     texture = _mean(maps[1], area * (np.abs(along) > CAP)) - _mean(maps[1], area * (np.abs(along) < BELT))
     circle = ((along + 1.0) / 2.0 * LATITUDES).astype(int).clip(0, LATITUDES - 1).ravel()
