@@ -147,12 +147,12 @@ def test_another_pose_that_fits_nearly_as_well_is_a_rival():
     rng, way = np.random.default_rng(4), np.array([1.0, 0.0, 0.0])
     right, shifted = (Pose(np.eye(3), unit(way + np.array([0.0, 0.0, shift]))) for shift in (0.0, 0.6))
     parts = [matches_of(rng, Pose.identity(), pose, count=60, noise=1e-4) for pose in (right, shifted)]
-    estimate = estimate_relative_pose(parts[0] + parts[1])
+    estimate = robust.estimate_relative_pose(parts[0] + parts[1])
     assert estimate is not None
     assert estimate.rival is not None
     errors = [direction_error(pose, right) for pose in (estimate.first_from_second, estimate.rival)]
     assert sorted(errors) == pytest.approx([0.0, direction_error(shifted, right)], abs=np.radians(0.5))
-    estimate = estimate_relative_pose(parts[0] + parts[1].select(np.arange(20)))
+    estimate = robust.estimate_relative_pose(parts[0] + parts[1].select(np.arange(20)))
     assert estimate is not None
     assert estimate.rival is None
 

@@ -1,5 +1,6 @@
 """What the program sees in a file: panorama, depth, pose file or video, as plain values that JSON can hold."""
 
+import math
 import re
 import subprocess
 from collections.abc import Callable
@@ -73,14 +74,23 @@ def _describe_panorama(header: ImageHeader, max_pixels: int, reading: Reading) -
     height, width = panorama.image.shape[:2]
     if seen == 0.0:
         return {**description, "usable": False, "problem": "no pixel may be used: all of it is transparent or left out"}
-    return {**description, "usable": True, "sphere_width": width, "sphere_height": height, "usable_share": seen}
+    # OpenCV takes a while to import and is needed for panoramas only.
+    from omnisyn_cli.poses.gravity import REMEDIES, gravity_of_picture
+
+    gravity = gravity_of_picture(panorama.image, panorama.mask)
+    return {
+        **description, "usable": True, "sphere_width": width, "sphere_height": height, "usable_share": seen,
+        "tilt_degrees": math.degrees(gravity.tilt) if gravity.vertical.is_certain else None,
+        "looks": "; ".join(filter(None, [gravity.attitude, REMEDIES.get(gravity.attitude)])),
+    }  # fmt: skip
 
 
 def geographic_place(header: ImageHeader) -> dict[str, float] | None:
-    """Latitude and longitude in degrees, altitude in metres where it is known; None without EXIF GPS tags."""
+    """Latitude and longitude in degrees, altitude in metres where it is known; None without all EXIF GPS tags."""
     latitude = header.degrees("GPS:Latitude", "S")
     longitude = header.degrees("GPS:Longitude", "W")
-    if latitude is None or longitude is None:
+    has_halves = all(header.attributes.get(f"GPS:{name}Ref") for name in ("Latitude", "Longitude"))
+    if latitude is None or longitude is None or not has_halves:
         return None
     place = {"latitude": latitude, "longitude": longitude}
     return place if header.altitude is None else {**place, "altitude": header.altitude}

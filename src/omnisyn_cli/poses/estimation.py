@@ -26,6 +26,7 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points
+from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
@@ -196,7 +197,7 @@ def estimate_poses(
     scale, scale_note = _scale(world, order, scans, edges, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
-    notes += [*_partial_notes(images, scans), *repeats]
+    notes += [*_partial_notes(images, scans), *repeats, *_attitude_notes(images, scans)]
     for pair, reason in graph.unused.items():
         if reason in (AMBIGUOUS, CONTRADICTING) or not graph.poses.keys() >= set(pair):
             notes.append(f"{' and '.join(images[k].name for k in pair)} are not used: {reason}")
@@ -274,6 +275,16 @@ def _partial_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
     partial = [image.name for image, scan in zip(images, scans, strict=True) if not scan.meets_at_seam]
     names = ", ".join(partial)
     return [f"left and right edges do not meet in {names}; is that all of the sphere? (--hfov)"] if partial else []
+
+
+def _attitude_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
+    """About cameras that do not seem to have been held upright."""
+    held = [gravity_of(scan.small, scan.lines, scan.usable).attitude for scan in scans]
+    return [
+        f"{image.name} looks {held_so}; {REMEDIES[held_so]}"
+        for image, held_so in zip(images, held, strict=True)
+        if held_so in REMEDIES
+    ]
 
 
 def _unplaced(

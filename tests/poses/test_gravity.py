@@ -1,0 +1,61 @@
+"""How a single camera was held: tilts are told within a degree; upside-down and rolled pictures are named."""
+
+import math
+
+import numpy as np
+import pytest
+from registration_samples import street_image
+
+from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
+from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.sphere import UP, pixel_directions
+from omnisyn_cli.interpolation.describe import describe_file
+from omnisyn_cli.io import write_image
+from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
+from omnisyn_cli.poses.gravity import gravity_of_picture
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+
+SIZE = (384, 768)
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """Upright panoramas of three streets, rooms and homes."""
+    scenes = [(generate_scene(kind, seed), seed) for kind in ("street", "room", "home") for seed in (500, 501)]
+    return [render_panorama(scene, sample_path(scene, seed, 2)[0], SIZE, threads=2)[0] for scene, seed in scenes]
+
+
+def held(picture: np.ndarray, degrees: float, axis: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """What a camera sees that was turned about an axis of its own, and the zenith in its frame."""
+    turn = rotation_from_rotation_vector(math.radians(degrees) * np.array(axis) / np.linalg.norm(axis))
+    table = RemapTable.for_directions(pixel_directions(*SIZE) @ turn.T, SIZE)
+    channels = [table.bilinear(np.ascontiguousarray(picture[..., k], np.float32)) for k in range(3)]
+    return np.stack(channels, axis=-1), turn.T @ UP
+
+
+def test_tilts_of_3_to_30_degrees_are_told_within_one(pictures):
+    for index, (picture, degrees) in enumerate(zip(pictures, np.linspace(3, 30, len(pictures)), strict=True)):
+        seen, up = held(picture, degrees, (math.cos(index), 0.0, math.sin(index)))
+        gravity = gravity_of_picture(seen)
+        assert gravity.attitude == "upright", index
+        off = math.degrees(math.acos(min(1.0, float(gravity.vertical.up @ up))))
+        assert off < 1.0 or not gravity.vertical.is_certain, (index, off)
+
+
+def test_most_pictures_that_are_not_upright_are_named_and_no_upright_one(pictures):
+    """What cannot be told counts as upright."""
+    down = [gravity_of_picture(held(picture, 180, (0, 0, 1))[0]).attitude for picture in pictures]
+    rolled = [gravity_of_picture(held(picture, 90, (0, 0, 1))[0]).attitude for picture in pictures]
+    assert {gravity_of_picture(picture).attitude for picture in pictures} == {"upright"}
+    assert down.count("upside down") >= 4
+    assert rolled.count("rolled by 90°") >= 2
+
+
+def test_a_tour_and_info_say_so_with_the_remedy(tmp_path):
+    paths = [tmp_path / name for name in ("a.png", "b.png")]
+    for index, path in enumerate(paths):
+        write_image(path, np.ascontiguousarray(street_image(index, SIZE)[::-1, ::-1]).astype(np.float32))
+    remedy = "upside down; if so, rotate the picture by 180°"
+    assert describe_file(paths[0])["looks"] == remedy
+    notes = estimate_poses(paths, (1.0,), PictureOptions(threads=1)).notes
+    assert [f"{path.name} looks {remedy}" in notes for path in paths] == [True, True]
