@@ -343,10 +343,8 @@ def _camera_height(
 
 
 def _known_within(spread: float) -> str:
-    """What a relative standard deviation of a distance means, in words."""
-    if spread > MAX_KNOWN_SPREAD:
-        return "distance not known: too few points that other pairs see as well (take a panorama between)"
-    return f"distance known to within {max(200.0 * spread, 1.0):.0f} %"
+    """Twice a relative standard deviation in words."""
+    return f"known to within {max(200.0 * spread, 1.0):.0f} %"
 
 
 def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
@@ -427,7 +425,10 @@ def _estimate_note(edge: Edge, spread: PoseUncertainty) -> str:
     if spread.position is None:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     residual, rotation = np.degrees([edge.estimate.residual, spread.rotation])
-    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {_known_within(spread.position)}"
+    place = f"place {_known_within(spread.position)} of the distance"
+    if spread.position > MAX_KNOWN_SPREAD:
+        place = "distance not known: too few points that other pairs see as well (take a panorama between)"
+    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {place}"
 
 
 def _refinement_note(diagnosis: Diagnosis) -> str:
