@@ -53,8 +53,9 @@ FLOOR_QUANTILE = 0.75
 # Relative standard deviation of a distance beyond which it is not known.
 MAX_KNOWN_SPREAD = 0.25
 # Why a pair is not used.
-TOO_FEW, CONTRADICTING = "too few matches (of {})", "a pose that contradicts other pairs"
-AMBIGUOUS = "two poses that fit about equally well (repeated tiles or windows?)"
+FEW_REASON, CONTRADICTION_REASON = "too few matches (of {})", "a pose that contradicts other pairs"
+AMBIGUITY_REASON = "two poses that fit about equally well (repeated tiles or windows?)"
+APART_REASON = "a pose that nothing connects with the larger group"
 # Of a set that each panorama is compared with, besides its neighbours: those that share most features.
 LIKE_PANORAMAS = 2
 
@@ -198,13 +199,13 @@ def estimate_poses(
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
     notes += [*_partial_notes(images, scans), *repeats, *_attitude_notes(images, scans)]
-    for pair, reason in graph.unused.items():
-        if reason in (AMBIGUOUS, CONTRADICTING) or not graph.poses.keys() >= set(pair):
-            notes.append(f"{' and '.join(images[k].name for k in pair)} are not used: {reason}")
+    reasons = {pair: why for pair, why in graph.unused.items() if not why.startswith(FEW_REASON[:7])}
+    notes += [f"{' and '.join(images[k].name for k in pair)} are not used: {why}" for pair, why in reasons.items()]
     if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:
         notes.append(f"left out, as nothing tells where they are: {', '.join(left_out)}")
-    if others := math.comb(len(images), 2) - len(edges) - len(graph.unused):
-        notes.append(f"{others} pairs that look less alike were not compared")
+    few, others = len(graph.unused) - len(reasons), math.comb(len(images), 2) - len(edges) - len(graph.unused)
+    if few + others:
+        notes.append(f"{few} pairs have too few matches, and {others} that look less alike were not compared")
     if finds_order:
         notes.append(f"order: {', '.join(images[k].name for k in order)}")
     names, spreads = distinct_names(images), [None, *known.values()]
@@ -235,7 +236,9 @@ def solve_pose_graph(
     poses = {k: Pose(rotations[k], positions[k]) for k in placed}
     adjusted = adjust(poses, edges, given) if len(placed) > 2 else None
     kept = {(edge.first, edge.second) for edge in edges}
-    unused |= {(edge.first, edge.second): CONTRADICTING for edge in matched if (edge.first, edge.second) not in kept}
+    for edge in matched:
+        if (pair := (edge.first, edge.second)) not in kept:
+            unused[pair] = CONTRADICTION_REASON if set(pair) <= poses.keys() else APART_REASON
     return PoseGraph(adjusted.poses if adjusted else poses, edges, unused, adjusted)
 
 
@@ -257,7 +260,7 @@ def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edg
             agreeing, others = (matches.select(mask) for mask in (estimate.inliers, ~estimate.inliers))
             edges.append(Edge(*pair, estimate, agreeing, others))
         else:
-            unused[pair] = (TOO_FEW if estimate is None else AMBIGUOUS).format(len(matches))
+            unused[pair] = (FEW_REASON if estimate is None else AMBIGUITY_REASON).format(len(matches))
 
     neighbours = set(pairwise(range(count))) if is_ordered else set()
     for pair in sorted(wanted | neighbours):
@@ -358,10 +361,8 @@ def _camera_height(
 
 
 def _known_within(spread: float) -> str:
-    """What a relative standard deviation of a distance means, in words."""
-    if spread > MAX_KNOWN_SPREAD:
-        return "distance not known: too few points that other pairs see as well (take a panorama between)"
-    return f"distance known to within {max(200.0 * spread, 1.0):.0f} %"
+    """Twice a relative standard deviation in words."""
+    return f"known to within {max(200.0 * spread, 1.0):.0f} %"
 
 
 def check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
@@ -443,7 +444,10 @@ def _estimate_note(edge: Edge, spread: PoseUncertainty) -> str:
     if spread.position is None:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     residual, rotation = np.degrees([edge.estimate.residual, spread.rotation])
-    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {_known_within(spread.position)}"
+    place = f"place {_known_within(spread.position)} of the distance"
+    if spread.position > MAX_KNOWN_SPREAD:
+        place = "distance not known: too few points that other pairs see as well (take a panorama between)"
+    return f"{agreed} within {residual:.3f}° (median); rotation ± {rotation:.2g}°, {place}"
 
 
 def _refinement_note(diagnosis: Diagnosis) -> str:

@@ -38,10 +38,9 @@ from omnisyn_cli.poses.registration.minimal_solvers import (
 MIN_MATCHES = 8  # Five determine a pose; three more have to agree with it
 
 MAX_LOG_FALSE_ALARMS = -8.0
-"""Decimal logarithm of the number of poses that as many matches would agree with by chance.
+"""Decimal logarithm of the number of poses that as many matches would agree with by chance, as closely.
 
-Of 200 pairs of real and ray-traced panoramas that do not see each other two are below: halls with equal floors, and two
-corners of a shop. Of 43 real pairs that do see each other 37 to 39 are.
+Of 17 pairs of real panoramas that do not see each other none was below −3. All of 43 that do see each other are below.
 """
 
 # The same of a pose that ends the search.
