@@ -33,7 +33,6 @@ from omnisyn_cli.poses.formats.files import (
 )
 from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places, rotation_at
 
-
 # What a column may be called, in small letters; the first name that occurs wins.
 COLUMNS = {
     "image": ("image", "file", "filename", "file_name", "name", "path", "pano_id", "panoid", "id"),
