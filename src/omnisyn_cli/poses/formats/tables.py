@@ -31,13 +31,7 @@ from omnisyn_cli.poses.formats.files import (
     noted,
     numbers,
 )
-from omnisyn_cli.poses.formats.geographic import (
-    PLACE_LIMITS,
-    Place,
-    altitudes_note,
-    imported_places,
-    rotation_at,
-)
+from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places, rotation_at
 
 # What a column may be called, in small letters; the first name that occurs wins.
 COLUMNS = {
