@@ -50,8 +50,7 @@ DEFAULT_BASELINE = 1.0  # Metres between two panoramas where no baseline is give
 
 # Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it.
 FLOOR_QUANTILE = 0.75
-# Relative standard deviation of a distance beyond which it is not known.
-MAX_KNOWN_SPREAD = 0.25
+MAX_KNOWN_SPREAD = 0.25  # Relative standard deviation of a distance beyond which it is not known
 # Why a pair is not used.
 FEW_REASON, CONTRADICTION_REASON = "too few matches (of {})", "a pose that contradicts other pairs"
 AMBIGUITY_REASON = "two poses that fit about equally well (repeated tiles or windows?)"

@@ -43,8 +43,7 @@ MAX_LOG_FALSE_ALARMS = -8.0
 Of 17 pairs of real panoramas that do not see each other none was below −3. All of 43 that do see each other are below.
 """
 
-# The same of a pose that ends the search.
-CLEAR_LOG_FALSE_ALARMS = -40.0
+CLEAR_LOG_FALSE_ALARMS = -40.0  # The same of a pose that ends the search
 
 # What is added where a pose contradicts the vertical edges: two directions agree within 1° once in 10,000 times.
 LOG_TESTS_WITHOUT_GRAVITY = 5.0
