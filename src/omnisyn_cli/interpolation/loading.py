@@ -127,13 +127,10 @@ def _read_companions(
 
 
 def _find_camera_fixed(
-    plan: TourPlan,
-    panorama_of: Callable[[int], CachedPanorama],
+    plan: TourPlan, panorama_of: Callable[[int], CachedPanorama],
     companions_of: Callable[[int], tuple[np.ndarray | None, DepthEstimate | None]],
-    still: Callable[[], np.ndarray | None],
-    first: int,
-    second: int,
-) -> tuple[np.ndarray | None, np.ndarray | None]:
+    still: Callable[[], np.ndarray | None], first: int, second: int,
+) -> tuple[np.ndarray | None, np.ndarray | None]:  # fmt: skip
     """What moves with the camera in two neighbours, ``still`` that in all panoramas."""
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
@@ -207,12 +204,9 @@ class PairSurfaces:
 
 
 def tour_surfaces(
-    plan: TourPlan,
-    summary: TourSummary | None = None,
-    *,
-    estimator: DepthEstimator | None = None,
+    plan: TourPlan, summary: TourSummary | None = None, *, estimator: DepthEstimator | None = None,
     clock: Stopwatch | None = None,
-) -> Iterator[PairSurfaces]:
+) -> Iterator[PairSurfaces]:  # fmt: skip
     """The surfaces of every pair of the plan, one pair at a time, in order.
 
     The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. An

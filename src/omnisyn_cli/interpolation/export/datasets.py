@@ -207,7 +207,6 @@ NERFSTUDIO_FILES = ("images/*.jpg", "depths/*.png", "masks/*.png")
 """Files of each panorama, whose name stands in place of the star."""
 
 TRANSFORMS = "transforms.json"
-
 OWN_NAME = r"(\d{4,}_[A-Za-z0-9._-]*)"  # what :func:`safe_name` makes, as a group
 MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535  # in a metre; in samples of 16 bits
 
