@@ -99,6 +99,11 @@ class TourPlan:
         return sum(count > 1 for count in counts.values()) if self.looks_ahead else 0
 
     @property
+    def length(self) -> float:
+        """Metres from the first panorama to the last, in the order of the job."""
+        return path_length([entry.pose for entry in self.entries])
+
+    @property
     def memory_estimate(self) -> MemoryEstimate:
         """What memory is estimated from."""
         files = [entry.depth for entry in self.entries if entry.depth is not None]
@@ -154,11 +159,6 @@ class InterpolationPlan(TourPlan):
     size: tuple[int, int]  # (height, width) of the video, or of what one eye sees
     path: tuple[Waypoint, ...]  # a waypoint for every frame
     soundtrack: Soundtrack | None = None  # of the video
-
-    @property
-    def length(self) -> float:
-        """Metres from the first panorama to the last."""
-        return path_length([entry.pose for entry in self.entries])
 
     @property
     def frame_size(self) -> tuple[int, int]:

@@ -35,15 +35,13 @@ POLE_PIECES = 2  # points at the pole of a piece of a cap, which are the first t
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles in the frame of the panorama, counter-clockwise as seen from its centre; positions are in metres.
+    """Triangles in the frame of the panorama."""
 
-    Texture coordinates (u, v) have their origin in the upper left corner of the panorama; u leaves [0, 1] by up to a
-    pixel of the mesh beside the seam, where the texture repeats.
-    """
-
-    position: Float[np.ndarray, "vertices 3"]
+    position: Float[np.ndarray, "vertices 3"]  # metres
+    # (u, v) from the upper left corner of the panorama; u leaves [0, 1] by up to a pixel of the mesh beside the seam,
+    # where the texture repeats
     texture: Float[np.ndarray, "vertices 2"]
-    triangles: Integer[np.ndarray, "triangles 3"]
+    triangles: Integer[np.ndarray, "triangles 3"]  # counter-clockwise as seen from the centre
 
     def split(self, distance: float) -> tuple["TexturedMesh", "TexturedMesh"]:
         """What is nearer than a distance, at least in part, and the rest."""

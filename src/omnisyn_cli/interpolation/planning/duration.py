@@ -115,15 +115,12 @@ def _seconds_per_frame(sizes: Sequence[Figures], pixels: int) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """A preset for a job that may take ``budget`` seconds, and what is expected of each preset that was measured.
-
-    ``more`` says what the preset of the best picture gains, and how sure that is; or nothing.
-    """
+    """A preset for a job that may take some seconds."""
 
     preset: str
-    expected: dict[str, Duration]
-    budget: float
-    more: str = ""
+    expected: dict[str, Duration]  # of each preset that was measured
+    budget: float  # seconds
+    more: str = ""  # what the preset of the best picture gains, and how sure that is; or nothing
 
     @property
     def fits(self) -> bool:

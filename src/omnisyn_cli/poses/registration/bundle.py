@@ -52,7 +52,7 @@ class Adjustment:
 def adjust(
     world: Mapping[int, Pose], edges: Sequence[Edge], given: Mapping[tuple[int, int], float] | None = None
 ) -> Adjustment:
-    """The poses that explain all matches best. The first one stays, and distances ``given``, or else the sum of all."""
+    """The poses that explain all matches best; the first stays, and so do ``given`` distances, or else their sum."""
     number = {panorama: k for k, panorama in enumerate(world)}
     matches = Observations.of(edges, number)
     rotation, position = (
