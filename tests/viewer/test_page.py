@@ -250,8 +250,9 @@ def test_trust_is_that_of_the_renderer() -> None:
 def test_lossless_photographs_are_the_samples_and_others_nearly() -> None:
     samples = cv2.resize(np.random.default_rng(0).integers(0, 256, (8, 16, 3), np.uint8), (128, 64))
     for is_lossless, most in ((True, 0.0), (False, 6.0)):
-        content, kind = packing.packed_photograph(samples, is_lossless=is_lossless)
-        decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        blocks = packing.Blocks()
+        kind = blocks.add_photograph(samples, is_lossless=is_lossless)
+        decoded = cv2.imdecode(np.frombuffer(blocks.contents[0], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
         assert np.abs(decoded.astype(float) - samples).mean() <= most
         assert (kind["width"], kind["height"]) == (128, 64)
         assert kind["type"] == ("image/png" if is_lossless else "image/jpeg")

@@ -54,14 +54,10 @@ __all__ = [
 
 
 def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: float = 0.0) -> list[View]:
-    """Panoramas with their poses, masks and, where the pose file names them, their depth.
+    """Panoramas, two or more in walking order, with their poses, masks and, where the pose file names it, their depth.
 
-    Args:
-        images: two or more panoramas, in walking order.
-        poses: pose file (``poses.json``) that names them all.
-        nadir_deg: degrees around straight down that are not used: tripod, roof of a car.
-
-    Raises InputError: a file is missing or damaged, or the pose file does not name a panorama.
+    ``nadir_deg`` are degrees around straight down that are not used: tripod, roof of a car. InputError: a file is
+    missing or damaged, or the pose file does not name a panorama.
     """
     paths, views = _paths(images), []
     file = read_poses(poses)
@@ -80,13 +76,8 @@ def estimate_depth(
 ) -> tuple[DepthEstimate, DepthEstimate]:
     """Inverse depth (1/metre) and confidence of both panoramas of a pair, each in its own frame.
 
-    Args:
-        first: a panorama with its pose.
-        second: its neighbour.
-        config: name of a preset, or a config; only its depth and device matter.
-        threads: at most this many; None is one per core.
-
-    Raises InputError: a network is missing, or there is no such device.
+    Of a config, or the preset of that name, only depth and device matter; ``threads`` None is one per core.
+    InputError: a network is missing, or there is no such device.
     """
     config = _resolved(config)
     return make_estimator(config.depth, device=config.device, threads=threads)(

@@ -19,9 +19,7 @@ from omnisyn_cli.io.spherical import read_spherical
 from omnisyn_cli.io.tagging import BOXED_SUFFIXES
 from omnisyn_cli.poses.file import read_poses
 
-VIDEO_SUFFIXES = (*BOXED_SUFFIXES, ".mkv", ".webm", ".avi")
-"""Files that FFmpeg describes."""
-
+VIDEO_SUFFIXES = (*BOXED_SUFFIXES, ".mkv", ".webm", ".avi")  # of files that FFmpeg describes
 PROBE_SECONDS = 60  # after which FFmpeg is given up. Set by hand.
 # What FFmpeg prints of a video stream.
 VIDEO_STREAM = re.compile(

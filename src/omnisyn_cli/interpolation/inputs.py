@@ -16,17 +16,13 @@ from omnisyn_cli.poses.tour_file import TOUR_NAME, read_tour
 
 @dataclass(frozen=True)
 class NamedTour:
-    """Panoramas in walking order, as they were named, with their pose file (or ``POSES_FROM_PICTURES``).
+    """Panoramas as they were named."""
 
-    The name is that of the folder that was named, else ``first-last``; ``tour`` is the ``tour.json`` in that folder, or
-    beside the first panorama. They are a chain, each of which leads to the next one, where they were named one by one.
-    """
-
-    images: tuple[Path, ...]
-    poses: Path
-    name: str
-    tour: Path | None = None
-    is_chain: bool = True
+    images: tuple[Path, ...]  # in walking order
+    poses: Path  # pose file, or ``POSES_FROM_PICTURES``
+    name: str  # of the folder that was named, else ``first-last``
+    tour: Path | None = None  # the ``tour.json`` in that folder, or beside the first panorama
+    is_chain: bool = True  # each leads to the next one: they were named one by one
 
     def output(self, ending: str) -> Path:
         """The name, in the current folder, of what is made of the tour if nobody chooses one.

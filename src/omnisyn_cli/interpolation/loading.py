@@ -127,13 +127,10 @@ def _read_companions(
 
 
 def _find_camera_fixed(
-    plan: TourPlan,
-    panorama_of: Callable[[int], CachedPanorama],
+    plan: TourPlan, panorama_of: Callable[[int], CachedPanorama],
     companions_of: Callable[[int], tuple[np.ndarray | None, DepthEstimate | None]],
-    still: Callable[[], np.ndarray | None],
-    first: int,
-    second: int,
-) -> tuple[np.ndarray | None, np.ndarray | None]:
+    still: Callable[[], np.ndarray | None], first: int, second: int,
+) -> tuple[np.ndarray | None, np.ndarray | None]:  # fmt: skip
     """What moves with the camera in two neighbours, ``still`` that in all panoramas."""
     from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed  # OpenCV is needed to make something only
 
@@ -163,16 +160,12 @@ def known_depth(entry: PosedPanorama, max_pixels: int = MAX_PIXELS) -> DepthEsti
 
 @dataclass(frozen=True)
 class PanoramaSurface:
-    """A posed panorama, by its index in the job, and its surface.
+    """A posed panorama and its surface."""
 
-    Depth (1/metre and confidence) has a resolution of its own. The mesh is in the frame of the panorama and cut by the
-    config's rule; masked vertices have no surface.
-    """
-
-    index: int
+    index: int  # in the job
     view: View
-    depth: DepthEstimate
-    mesh: Mesh
+    depth: DepthEstimate  # at a resolution of its own
+    mesh: Mesh  # in the frame of the panorama, cut by the config's rule; masked vertices have no surface
 
     def texture(self) -> Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]:
         """The photograph, with masked pixels painted over from around them: samples of 8 bits, or RGB in [0, 1]."""
@@ -194,25 +187,18 @@ def quantized_picture(picture: np.ndarray, columns: int | None) -> UInt8[np.ndar
 
 @dataclass(frozen=True)
 class PairSurfaces:
-    """The surfaces of two neighbours, by the index of the pair in the plan: in a chain that of its first panorama.
+    """The surfaces of two neighbours."""
 
-    The cross-check says how differently they are exposed, and how far what is made of them can be relied on. Soft ones
-    are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`).
-    """
-
-    index: int
+    index: int  # of the pair in the plan: in a chain that of its first panorama
     surfaces: tuple[PanoramaSurface, PanoramaSurface]
-    cross_check: CrossCheck
-    is_soft: bool = False
+    cross_check: CrossCheck  # how differently they are exposed, and how far what is made of them can be relied on
+    is_soft: bool = False  # uncut, dissolving into each other (:mod:`omnisyn_cli.synthesis.soft_surface`)
 
 
 def tour_surfaces(
-    plan: TourPlan,
-    summary: TourSummary | None = None,
-    *,
-    estimator: DepthEstimator | None = None,
+    plan: TourPlan, summary: TourSummary | None = None, *, estimator: DepthEstimator | None = None,
     clock: Stopwatch | None = None,
-) -> Iterator[PairSurfaces]:
+) -> Iterator[PairSurfaces]:  # fmt: skip
     """The surfaces of every pair of the plan, one pair at a time, in order.
 
     The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. An

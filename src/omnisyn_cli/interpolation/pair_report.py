@@ -29,10 +29,7 @@ NEAR_PERCENTILE = 98.0  # of inverse depth, which is shown as the nearest
 
 
 def write_pair_report(job: TourJob) -> TourPlan:
-    """Find depth as a video would, and write the page to ``job.output``.
-
-    InputError, PoseError, OutputPathError, WriteError: as for a video.
-    """
+    """Find depth as a video would, with the same errors, and write the page to ``job.output``."""
     check_page(job.output, job.overwrite)
     plan = plan_tour(job)
     poses = PoseFile(job.poses, dict(zip(distinct_names(job.images), plan.entries, strict=True)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
@@ -99,6 +99,11 @@ class TourPlan:
         return sum(count > 1 for count in counts.values()) if self.looks_ahead else 0
 
     @property
+    def length(self) -> float:
+        """Metres from the first panorama to the last, in the order of the job."""
+        return path_length([entry.pose for entry in self.entries])
+
+    @property
     def memory_estimate(self) -> MemoryEstimate:
         """What memory is estimated from."""
         files = [entry.depth for entry in self.entries if entry.depth is not None]
@@ -153,13 +158,7 @@ class InterpolationPlan(TourPlan):
     job: InterpolationJob
     size: tuple[int, int]  # (height, width) of the video, or of what one eye sees
     path: tuple[Waypoint, ...]  # a waypoint for every frame
-    memory: int = 0  # bytes that the pictures and buffers will take, estimated
     soundtrack: Soundtrack | None = None  # of the video
-
-    @property
-    def length(self) -> float:
-        """Metres from the first panorama to the last."""
-        return path_length([entry.pose for entry in self.entries])
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -174,9 +173,10 @@ class InterpolationPlan(TourPlan):
         codec = CODEC_NAMES[self.job.codec or "h264"]
         return f"{frames / self.job.fps:.3g} s of {width}x{height} {codec}, {frames} frames"
 
-    def with_memory(self) -> Self:
-        """With its memory estimated."""
-        return replace(self, memory=self.memory_estimate.of_frames(self.job, self.size))
+    @cached_property
+    def memory(self) -> int:
+        """Bytes that the pictures and buffers will take, estimated."""
+        return self.memory_estimate.of_frames(self.job, self.size)
 
     def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
         """See :meth:`TourPlan.details`."""
@@ -227,8 +227,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     return InterpolationPlan(
         job, entries, sources, config,
         (*tour.notes, *_notes_about_video(tour, config, job, sources), *heard),
-        tour.tour, size, path, soundtrack=soundtrack,
-    ).with_memory()  # fmt: skip
+        tour.tour, size, path, soundtrack,
+    )  # fmt: skip
 
 
 def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -286,8 +286,7 @@ def plan_tour(
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     """The plan with another preset, whose networks are there (InputError); its poses are not looked for again."""
     job = replace(plan.job, preset=preset)
-    config = for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path))
-    return replace(plan, job=job, config=config).with_memory()
+    return replace(plan, job=job, config=for_frames(_installed(video_config(job, plan.entries)), job, len(plan.path)))
 
 
 def _installed(config: RunConfig) -> RunConfig:

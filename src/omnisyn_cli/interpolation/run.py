@@ -80,13 +80,9 @@ def _frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
 
 
 def run_interpolation(
-    plan: InterpolationPlan,
-    on_frame: Callable[[int], None] | None = None,
-    *,
-    read: PanoramaReader = read_panorama,
-    estimator: DepthEstimator | None = None,
-    now: Callable[[], float] = time.perf_counter,
-) -> Summary:
+    plan: InterpolationPlan, on_frame: Callable[[int], None] | None = None, *, read: PanoramaReader = read_panorama,
+    estimator: DepthEstimator | None = None, now: Callable[[], float] = time.perf_counter,
+) -> Summary:  # fmt: skip
     """Make the video.
 
     ``on_frame`` is called with the number of finished frames after each. ``read`` decodes a panorama; one that

@@ -18,7 +18,6 @@ from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, is_plausible_camera_height
-from omnisyn_cli.synthesis.trajectory import path_length
 
 # Least score of a word. Set by hand.
 CONFIDENCE_WORDS = ((0.6, "high"), (0.45, "medium"), (MIN_PAIR_SCORE, "low"), (0.0, "very low"))
@@ -79,10 +78,7 @@ class TourSummary:
         return {**described, "stages": stages, "confidence": self.confidence}
 
     def lines(self, *, is_report_possible: bool = True) -> Iterator[str]:
-        """For people: what was left out, how far the worst pair can be relied on, where it is weakest, what to try.
-
-        With ``is_report_possible`` also the command that shows why.
-        """
+        """For people: what was left out, how far the worst pair can be relied on, where it is weakest, what to try."""
         if self.left_out:
             shares = [f"{share:.1%} of {self.plan.job.images[k].name}" for k, share in sorted(self.left_out.items())]
             more = f" and {len(shares) - 2} more" if len(shares) > 2 else ""
@@ -107,7 +103,7 @@ class TourSummary:
         job = self.plan.job
         if job.poses != POSES_FROM_PICTURES or job.camera_height is not None:
             return None
-        return path_length([entry.pose for entry in self.plan.entries]) / (len(self.plan.entries) - 1)
+        return self.plan.length / (len(self.plan.entries) - 1)
 
     def place(self, index: int, direction: Float[np.ndarray, " 3"]) -> str:
         """Where that is, in words, for a direction half way between the panoramas of a pair."""

@@ -84,5 +84,4 @@ def _placed(number: int, image: Path, graph: PoseGraph, given: Mapping[int, Pose
 
 def _spread(poses: Sequence[Pose]) -> float:
     """Metres of their places around the middle, the root mean square."""
-    places = np.stack([pose.position for pose in poses])
-    return float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return float(np.linalg.norm(np.std([pose.position for pose in poses], axis=0)))

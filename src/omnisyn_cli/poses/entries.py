@@ -21,7 +21,6 @@ from omnisyn_cli.geometry.pose import (
 
 # Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits.
 UNIT_TOLERANCE = 1e-3
-
 POSITION_TOLERANCE = 1e-6  # Metres by which a position and a 4×4 matrix may disagree, and deviation of its last row
 MAX_COORDINATE = 1e8  # Metres, more than twice around the earth; coordinates beyond are a mistake in units
 MAX_TEXT_CHARS = 2000  # Of a title, a caption or the text of a hotspot
@@ -30,7 +29,6 @@ MAX_TEXT_CHARS = 2000  # Of a title, a caption or the text of a hotspot
 CONTROL_CHARACTERS = re.compile(r"[\0-\x09\x0b-\x1f\x7f\ud800-\udfff]")
 
 Metres = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
 
@@ -145,9 +143,7 @@ class GeographicEntry(Model):
 
 
 COMMON_KEYS = frozenset({"depth", "mask", "title", "caption"})
-
 RIGID_KEYS = frozenset(RigidEntry.model_fields) - COMMON_KEYS
-
 GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - COMMON_KEYS
 
 
@@ -197,12 +193,9 @@ def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -
 def rigid_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     """As :func:`checked_rotation`, with remedies for the author of a pose file."""
     return checked_rotation(
-        f"{where}.matrix",
-        matrix,
-        kind="a rigid rotation",
-        unscaled="remove scale and shear",
+        f"{where}.matrix", matrix, kind="a rigid rotation", unscaled="remove scale and shear",
         unmirrored="the axes are x right, y up, −z forward: flip two axes, not one",
-    )
+    )  # fmt: skip
 
 
 def checked_rotation(

@@ -30,7 +30,7 @@ from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
-from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import Edge
 from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
@@ -130,7 +130,12 @@ def check_poses(
     check_images(images)
     check_names_tell_apart(images, pose_file)
     entries = [pose_file.of(image) for image in images]
-    views = _views_with_features(images, entries, options or PictureOptions())
+    options = options or PictureOptions()
+    pictures = usable_pictures(images, options, [entry.mask for entry in entries])
+    views = (
+        (View(resize_area(picture, FLOOR_SIZE), entry.pose, usable), find_features(picture, usable, options.threads))
+        for entry, (picture, usable) in zip(entries, pictures, strict=True)
+    )
     for (first, second), ((a, seen_by_a), (b, seen_by_b)) in zip(pairwise(images), pairwise(views), strict=True):
         matches = match_features(seen_by_a, seen_by_b)
         fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
@@ -167,16 +172,12 @@ def estimate_poses(
     """Find the poses of panoramas in the pictures.
 
     The world is levelled by the vertical edges in them. The first panorama that is placed stands at the origin and
-    looks towards −z.
+    looks towards −z. Images are in walking order; with ``finds_order`` that is looked for as well, a short way along
+    pairs that match. With ``must_place_all`` panoramas that do not fit the others are refused, else left out and named.
 
-    Args:
-        images: in walking order.
-        baselines: metres between neighbours: their mean, or one for each pair; :data:`DEFAULT_BASELINE` without any.
-            Else their ratios are those that points tell which several pairs share.
-        options: how pictures are read.
-        camera_height: metres of the cameras above the floor, instead of baselines.
-        must_place_all: refuse panoramas that do not fit the others; else they are named and left out.
-        finds_order: the order is looked for as well: a short way along pairs that match.
+    Baselines are metres between neighbours: their mean, which is :data:`DEFAULT_BASELINE` without any, or one for each
+    pair. Ratios that are not given are those that points tell which several pairs share. ``camera_height``, metres
+    above the floor, stands in for baselines.
 
     Raises InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks;
     PoseError: too few matches, or no floor to measure the height from.
@@ -242,11 +243,7 @@ def solve_pose_graph(
 
 
 def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], str]]:
-    """Pairs whose relative pose is found, and why it is not found of others that were tried.
-
-    Neighbours in an order are tried, pairs that look alike, and then what may connect the parts or tell how long a
-    baseline is.
-    """
+    """Pairs whose relative pose is found, and why it is not found of others that were tried."""
     count, unused = len(scans), dict[tuple[int, int], str]()
     alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
     ranked = sorted(alike, key=lambda pair: (-alike[pair], pair))
@@ -381,18 +378,6 @@ def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:
     if not all(np.isfinite(length) and length > 0 for length in baselines):
         raise InputError(f"expected baselines above 0 m, got {', '.join(map(str, baselines))}; measure them")
     return list(baselines) * (pairs if len(baselines) == 1 else 1)
-
-
-def _views_with_features(
-    images: Sequence[Path], entries: Sequence[PosedPanorama], options: PictureOptions
-) -> Iterator[tuple[View, Features]]:
-    """The panoramas one after the other: reduced, with their poses; and the features of the whole pictures."""
-    pictures = usable_pictures(images, options, [entry.mask for entry in entries])
-    for entry, (picture, usable) in zip(entries, pictures, strict=True):
-        yield (
-            View(resize_area(picture, FLOOR_SIZE), entry.pose, usable),
-            find_features(picture, usable, options.threads),
-        )
 
 
 def usable_pictures(

@@ -33,9 +33,7 @@ from omnisyn_cli.poses.entries import (
 )
 
 POSES_NAME = "poses.json"  # What a pose file is called where a folder stands for its panoramas
-
 VERSION = 1
-
 MAX_LISTED_NAMES = 8  # Names of panoramas in an error
 MAX_FILE_BYTES = 64 << 20  # Bytes; a hundred thousand panoramas need less
 

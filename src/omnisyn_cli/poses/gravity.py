@@ -6,18 +6,16 @@ regression on 98 real and generated panoramas. Of 30 real ones that were turned,
 that were rolled by 90°; of these 30 upright ones a dark corridor was taken for rolled.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import UP, pixel_directions
 from omnisyn_cli.poses.registration.features import grey_of
-from omnisyn_cli.poses.registration.scan import SMALL_ROWS, Lines, Vertical, find_lines, find_vertical
+from omnisyn_cli.poses.registration.scan import SMALL_SIZE, Lines, Vertical, find_lines, find_vertical
 
 # Axes of the camera near which the vertical is looked for: its own, to the right and ahead.
 AXES = (UP, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
@@ -56,8 +54,7 @@ def gravity_of_picture(
     image: Float[np.ndarray, "height width 3"], usable: Bool[np.ndarray, "height width"] | None = None
 ) -> Gravity:
     """:func:`gravity_of` of a panorama, RGB in [0, 1]."""
-    small = cv2.resize(np.asarray(image, np.float32), (2 * SMALL_ROWS, SMALL_ROWS), interpolation=cv2.INTER_AREA)
-    return gravity_of(small, find_lines(grey_of(image), usable), usable)
+    return gravity_of(resize_area(image, SMALL_SIZE), find_lines(grey_of(image), usable), usable)
 
 
 def gravity_of(

@@ -32,13 +32,9 @@ from omnisyn_cli.poses.file import PoseFile, file_beside
 from omnisyn_cli.poses.tour import FloorPlan, Hotspot, Link, StartView, Tour, TourPanorama, chain_links, links_between
 
 TOUR_NAME = "tour.json"  # What the file is called where a folder stands for its panoramas
-
 MAX_FILE_BYTES = 16 << 20
-
 MAX_HOTSPOTS = 10_000  # Of a whole tour
-
 MAX_LINK_CHARS = 2000
-
 MIN_PIXELS_APART = 1.0  # Of the control points of a floor plan
 
 
@@ -54,7 +50,6 @@ def _web_address(link: str) -> str:
 
 
 Yaw = Annotated[float, Field(ge=-360, le=360)]
-
 Pitch = Annotated[float, Field(ge=-90, le=90)]
 
 

@@ -47,18 +47,14 @@ ZEROTH_HARMONIC = 0.28209479177387814
 
 @dataclass(frozen=True)
 class Points:
-    """Points of one or more panoramas in one world: metres, RGB, the confidence of their distances in [0, 1].
+    """Points of one or more panoramas in one world."""
 
-    Normals have length one and look towards the panorama. A radius is the standard deviations of a disc, in metres,
-    along its first and second axis; a turn a quaternion w, x, y, z: world from disc, whose third axis is the normal.
-    """
-
-    position: Float[np.ndarray, "points 3"]
-    colour: UInt8[np.ndarray, "points 3"]
-    confidence: Float[np.ndarray, " points"]
-    normal: Float[np.ndarray, "points 3"]
-    radius: Float[np.ndarray, "points 2"]
-    turn: Float[np.ndarray, "points 4"]
+    position: Float[np.ndarray, "points 3"]  # metres
+    colour: UInt8[np.ndarray, "points 3"]  # RGB
+    confidence: Float[np.ndarray, " points"]  # of their distances, in [0, 1]
+    normal: Float[np.ndarray, "points 3"]  # of length one, towards the panorama
+    radius: Float[np.ndarray, "points 2"]  # metres: standard deviations of a disc along its first and second axis
+    turn: Float[np.ndarray, "points 4"]  # quaternion w, x, y, z: world from disc, whose third axis is the normal
 
     def __len__(self) -> int:
         return len(self.position)
@@ -207,7 +203,6 @@ NERFSTUDIO_FILES = ("images/*.jpg", "depths/*.png", "masks/*.png")
 """Files of each panorama, whose name stands in place of the star."""
 
 TRANSFORMS = "transforms.json"
-
 OWN_NAME = r"(\d{4,}_[A-Za-z0-9._-]*)"  # what :func:`safe_name` makes, as a group
 MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535  # in a metre; in samples of 16 bits
 

@@ -28,20 +28,14 @@ MAX_CLIP_ROWS = 1024  # what telephones decode besides showing a sphere
 
 
 class Format(NamedTuple):
-    """What there is to say about a format.
+    """What there is to say about a format."""
 
-    The suffix of its file is empty for those that fill a folder; ``up`` is one of
-    :data:`omnisyn_cli.poses.formats.files.WORLD_UP`. Stride (pixels of the depth between points) and sky (whether what
-    is infinitely far is shown) are defaults. ``point`` are the bytes of a point as it is written, 0 where there are
-    none; ``writing`` those of each pixel of a panorama while its files are made.
-    """
-
-    suffix: str
-    up: str
-    stride: int
-    sky: bool
-    point: int = 0
-    writing: float = 0.0
+    suffix: str  # of its file; empty for those that fill a folder
+    up: str  # one of :data:`omnisyn_cli.poses.formats.files.WORLD_UP`
+    stride: int  # default pixels of the depth between points
+    sky: bool  # whether what is infinitely far is shown by default
+    point: int = 0  # bytes of a point as it is written; 0 where there are none
+    writing: float = 0.0  # bytes of each pixel of a panorama while its files are made
 
 
 # By name. A ``.ply`` without a name is points.

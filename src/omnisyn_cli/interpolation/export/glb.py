@@ -9,8 +9,6 @@ it. glTF's frame is ours: right-handed, y up, metres; panoramas look along their
 specification, section 4 (GLB) and ``KHR_materials_unlit``.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import dataclass
@@ -37,33 +35,28 @@ POLE_PIECES = 2  # points at the pole of a piece of a cap, which are the first t
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles in the frame of the panorama, counter-clockwise as seen from its centre; positions are in metres.
+    """Triangles in the frame of the panorama."""
 
-    Texture coordinates (u, v) have their origin in the upper left corner of the panorama; u leaves [0, 1] by up to a
-    pixel of the mesh beside the seam, where the texture repeats.
-    """
-
-    position: Float[np.ndarray, "vertices 3"]
+    position: Float[np.ndarray, "vertices 3"]  # metres
+    # (u, v) from the upper left corner of the panorama; u leaves [0, 1] by up to a pixel of the mesh beside the seam,
+    # where the texture repeats
     texture: Float[np.ndarray, "vertices 2"]
-    triangles: Integer[np.ndarray, "triangles 3"]
+    triangles: Integer[np.ndarray, "triangles 3"]  # counter-clockwise as seen from the centre
 
-    def split(self, distance: float) -> tuple[TexturedMesh, TexturedMesh]:
+    def split(self, distance: float) -> tuple["TexturedMesh", "TexturedMesh"]:
         """What is nearer than a distance, at least in part, and the rest."""
         is_far = np.linalg.norm(self.position, axis=1) >= distance
         beyond = is_far[self.triangles].all(axis=1)
         return self._of(self.triangles[~beyond]), self._of(self.triangles[beyond])
 
-    def _of(self, triangles: np.ndarray) -> TexturedMesh:
+    def _of(self, triangles: np.ndarray) -> "TexturedMesh":
         """Some of the triangles, with their vertices only."""
         kept, renamed = np.unique(triangles, return_inverse=True)
         return TexturedMesh(self.position[kept], self.texture[kept], renamed.reshape(triangles.shape))
 
 
 def textured_mesh(mesh: Mesh, texture_height: int, threads: int | None = None) -> TexturedMesh:
-    """The triangles of a mesh, in the frame of the panorama, none of whose vertices is infinitely far.
-
-    ``texture_height`` are the rows of the texture that will be put on it.
-    """
+    """The triangles of a mesh without infinitely far vertices, for a texture of ``texture_height`` rows."""
     shift = SHIFT * mesh.size[0] / texture_height  # in pixels of the mesh
     angle = shift * float(pixel_to_angles(1.0, 0.0, mesh.size)[1] - pixel_to_angles(0.0, 0.0, mesh.size)[1])
     rectangles, pieces = flat_rectangles(mesh, MAX_FLATNESS, angle, threads)
@@ -125,9 +118,8 @@ def _shift_between(
 
 def _halves(rectangles: np.ndarray, axis: int) -> np.ndarray:
     """Both halves of each, beside each other (axis 1) or one below the other (0)."""
-    first = rectangles.copy()
+    first, second = rectangles.copy(), rectangles.copy()
     first[:, 2 + axis] //= 2
-    second = rectangles.copy()
     second[:, 2 + axis] -= first[:, 2 + axis]
     second[:, axis] += first[:, 2 + axis]
     return np.concatenate([first, second])
@@ -207,7 +199,6 @@ def _in_pieces(mesh: Mesh, pieces: Float[np.ndarray, "pieces 4 4"]) -> Part:
 
 
 MAX_GLB_BYTES = 2**32 - 1  # lengths in a GLB are numbers of 32 bits
-
 TRIANGLES, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 4, 34962, 34963
 LINEAR_FILTER, MIPMAP_FILTER, CLAMP_TO_EDGE, REPEAT = 9729, 9987, 33071, 10497
 COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}

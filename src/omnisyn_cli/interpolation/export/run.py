@@ -57,10 +57,8 @@ def run_export(
     """Write the files; all of them appear when everything has gone well.
 
     ``on_panorama`` is called with the number of finished panoramas after each; an estimator finds depth in place of the
-    plan's.
-
-    Raises InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown;
-    WriteError: the disk is full, or the folder went away.
+    plan's. InputError: as :func:`tour_surfaces`, or nothing is left to be shown. WriteError: the disk is full, or the
+    folder went away.
     """
     clock, summary = Stopwatch(), ExportSummary(plan)
     writers = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud, **dict.fromkeys(VIEWERS, _write_site)}
@@ -200,10 +198,7 @@ def _indices(plan: ExportPlan) -> list[int]:
 
 
 def _views_with_depth(plan: ExportPlan, pairs: Pairs) -> Iterator[tuple[Path, View, bytes]]:
-    """As :func:`_views`, with the file of the depth.
-
-    A pair at one place knows next to nothing of it, so a panorama comes again with one that knows more.
-    """
+    """As :func:`_views`, with the file of the depth. A panorama comes again where a later pair knows more of it."""
     vertices: dict[int, int] = {}
     for pair in pairs:
         for surface in pair.surfaces:
@@ -215,11 +210,7 @@ def _views_with_depth(plan: ExportPlan, pairs: Pairs) -> Iterator[tuple[Path, Vi
 
 
 def _write_clips(plan: ExportPlan, site: sites.Site, staged: Path) -> None:
-    """Videos of every way in both directions, level and looking north like the panoramas that they begin and end with.
-
-    They are made as a video between the two panoramas would be, with all that was asked for. The way back is the way
-    there, played backwards.
-    """
+    """Videos of every way, level and looking north like the panoramas; the way back is the way there, backwards."""
     job, pictures = plan.job, {panorama.identity: staged / panorama.picture for panorama in site.panoramas}
     index_of = {panorama.identity: k for panorama, k in zip(site.panoramas, _indices(plan), strict=True)}
     clips = {

@@ -35,36 +35,28 @@ SAME_PLACE_PITCH = math.radians(-30.0)
 
 @dataclass(frozen=True)
 class SiteMark:
-    """A place in a panorama that one can click.
-
-    Yaw and pitch are radians to the right of north (−z of the world), and above the horizon. The position is in metres
-    in the world; None where only the direction is known. It leads to the panorama of the identity ``target``, perhaps
-    with a video of the way there, or to an address; or it shows an image. Files are relative to the site.
-    """
+    """A place in a panorama that one can click; files are relative to the site."""
 
     text: str
-    yaw: float
-    pitch: float
-    position: Float[np.ndarray, " 3"] | None = None
-    target: str | None = None
-    clip: str | None = None
-    link: str | None = None
-    image: str | None = None
+    yaw: float  # radians to the right of north (−z of the world)
+    pitch: float  # radians above the horizon
+    position: Float[np.ndarray, " 3"] | None = None  # metres in the world; None where only the direction is known
+    target: str | None = None  # identity of the panorama that it leads to
+    clip: str | None = None  # video of the way there
+    link: str | None = None  # address that it leads to
+    image: str | None = None  # picture that it shows
 
 
 @dataclass(frozen=True)
 class SitePanorama:
-    """A panorama of a site; it is level, and its centre looks north.
+    """A panorama of a site; it is level, and its centre looks north."""
 
-    Its identity is unlike all others, of letters, digits, ``_`` and ``-``. The picture is a file relative to the site,
-    the position in metres in the world; yaw and pitch are radians of the first view, if one begins there.
-    """
-
-    identity: str
+    identity: str  # unlike all others, of letters, digits, ``_`` and ``-``
     title: str
     caption: str
-    picture: str
-    position: Float[np.ndarray, " 3"]
+    picture: str  # file relative to the site
+    position: Float[np.ndarray, " 3"]  # metres in the world
+    # radians of the first view, if one begins there
     yaw: float
     pitch: float
     links: tuple[SiteMark, ...]
@@ -73,16 +65,12 @@ class SitePanorama:
 
 @dataclass(frozen=True)
 class Site:
-    """All that a viewer is told.
-
-    It begins at the panorama of the identity ``start``, and shows ``fov`` radians from top to bottom there; None leaves
-    that to the viewer.
-    """
+    """All that a viewer is told."""
 
     title: str
     panoramas: tuple[SitePanorama, ...]
-    start: str
-    fov: float | None
+    start: str  # identity of the panorama at which it begins
+    fov: float | None  # radians that are seen from top to bottom there; None leaves that to the viewer
 
     @property
     def links(self) -> int:

@@ -32,16 +32,12 @@ CENTIMETRES = 100.0  # in a metre: krpano's unit
 
 @dataclass(frozen=True)
 class Viewer:
-    """What there is to know of a viewer.
+    """What there is to know of a viewer."""
 
-    Its document is the file that describes the tour, and what makes its text. Packages are those on npm, with the
-    versions that are known to show it; none where it is not there. Its page may play clips: videos of the ways.
-    """
-
-    document: tuple[str, Callable[[Site], str]]
-    packages: Mapping[str, str]
+    document: tuple[str, Callable[[Site], str]]  # the file that describes the tour, and what makes its text
+    packages: Mapping[str, str]  # on npm, with the versions that are known to show it; none where it is not there
     has_depth: bool = False
-    plays_clips: bool = False
+    plays_clips: bool = False  # videos of the ways, in its page
 
     def advice(self, folder: Path) -> str:
         """How to get its own files."""

@@ -5,8 +5,6 @@ each pair, and for each frame by its size. A small piece of work (:func:`probe`)
 Only presets of the scale from fast to balanced are chosen: what is there to compare with is neither.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -80,10 +78,7 @@ def shipped_table() -> tuple[Figures, ...]:
 
 
 def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None = None) -> Duration | None:
-    """What a job will take on this machine; None where its depth, renderer or fusion was never measured.
-
-    InputError: the table that came with the program is missing or damaged.
-    """
+    """What a job will take on this machine; None where its depth, renderer or fusion was never measured."""
     table, config = shipped_table() if table is None else table, plan.config
     is_found = config.estimates_depth
     finders = _alike(table, config, lambda other: (other.depth.kind, other.depth.networks) if is_found else None)
@@ -120,15 +115,12 @@ def _seconds_per_frame(sizes: Sequence[Figures], pixels: int) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """A preset for a job that may take ``budget`` seconds, and what is expected of each preset that was measured.
-
-    ``more`` says what the preset of the best picture gains, and how sure that is; or nothing.
-    """
+    """A preset for a job that may take some seconds."""
 
     preset: str
-    expected: dict[str, Duration]
-    budget: float
-    more: str = ""
+    expected: dict[str, Duration]  # of each preset that was measured
+    budget: float  # seconds
+    more: str = ""  # what the preset of the best picture gains, and how sure that is; or nothing
 
     @property
     def fits(self) -> bool:
@@ -146,10 +138,7 @@ class Choice:
 
 
 def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
-    """The plan with the preset of the best picture that takes at most ``budget`` seconds, and a note that says so.
-
-    Raises InputError: the job asks for something that was not measured, or no preset was.
-    """
+    """The plan with the preset of :func:`choose_preset` and a note. InputError: it asks for what was not measured."""
     _check_measured(plan)
     table = shipped_table()
     if plan.config.estimates_depth:
@@ -190,10 +179,7 @@ def _without_choice(expected: Duration | None, budget: float) -> str:
 
 
 def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> Choice:
-    """The preset of the best picture that fits into ``budget`` seconds, or the fastest where none does.
-
-    InputError: no preset of this version was measured.
-    """
+    """The preset of the best picture within ``budget`` seconds, else the fastest. InputError: none was measured."""
     measured = {name: found for name in SCALE if (found := _scored(table, name)) is not None}
     durations = {name: expected_duration(with_preset(plan, name), table) for name in measured}
     expected = {name: duration for name, duration in durations.items() if duration is not None}

@@ -4,8 +4,6 @@ Cost is computing: seconds of one core, those of the encoder included, so that i
 machine does. :mod:`.duration` makes seconds on the clock of them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -27,17 +27,14 @@ UNCOLLECTED_BYTES, LOOK_AHEAD_VERTEX_BYTES = 80e6, 4 * 8
 
 @dataclass(frozen=True)
 class Footprint:
-    """Bytes that something made of surfaces takes: of each pixel and each vertex until all surfaces are there.
+    """Bytes that something made of surfaces takes."""
 
-    ``closing`` are those of each vertex when all are there, ``writing`` of each pixel of one picture while it is
-    written. Pictures have at most so many columns in it.
-    """
-
+    # of each pixel and each vertex until all surfaces are there
     per_pixel: float = 0.0
     per_vertex: float = 0.0
-    closing: float = 0.0
-    writing: float = 0.0
-    columns: int | None = None
+    closing: float = 0.0  # of each vertex when all are there
+    writing: float = 0.0  # of each pixel of one picture while it is written
+    columns: int | None = None  # that its pictures have at most
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,7 @@ def coarse_surface(surface: PanoramaSurface) -> Float[np.ndarray, "rows cols"]:
 def stacked_surfaces(
     surfaces: Sequence[Float[np.ndarray, "rows cols"]], poses: Sequence[Pose], links: Sequence[Sequence[int]]
 ) -> Float[np.ndarray, "all_rows cols"]:
-    """The coarse surfaces of all panoramas, one below the other; places are left to the panorama that sees them best.
-
-    Links are pairs of indices of panoramas.
-    """
+    """The coarse surfaces of all panoramas, one below the other, each place in that which sees it best."""
     mean_link = float(np.mean([distance_between(poses[first], poses[second]) for first, second in links]))
     reach = max(MIN_REACH_METRES, REACH_LINKS * mean_link)
     shown = []

@@ -84,10 +84,16 @@ class Blocks:
             levels.append(self.add_photograph(reduced, is_lossless=is_lossless and width == full, quality=quality))
         return levels
 
-    def add_photograph(self, samples: np.ndarray, **how: Any) -> dict[str, Any]:
-        """A photograph in one size, see :func:`packed_photograph`."""
-        content, kind = packed_photograph(samples, **how)
-        return {"block": self.add(content), **kind}
+    def add_photograph(
+        self, samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool, quality: int = JPEG_QUALITY
+    ) -> dict[str, Any]:
+        """A photograph in one size, and its kind."""
+        if is_lossless:
+            kind, data = "png", cv2.imencode(".png", np.ascontiguousarray(samples[..., ::-1]))[1].tobytes()
+        else:
+            kind, data = "jpeg", jpeg_bytes(samples, quality)
+        height, width = samples.shape[:2]
+        return {"block": self.add(data), "type": f"image/{kind}", "width": width, "height": height}
 
 
 def packed_map(values: UInt8[np.ndarray, "rows cols"] | UInt16[np.ndarray, "rows cols"]) -> bytes:
@@ -115,17 +121,6 @@ def confidence_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols
     image = mesh.quarter_image
     image = np.concatenate([image[:1], image, image[-1:]])
     return np.asarray(np.rint(255.0 * np.sqrt(image)), np.uint8)
-
-
-def packed_photograph(
-    samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool, quality: int = JPEG_QUALITY
-) -> tuple[bytes, dict[str, Any]]:
-    """A photograph as a file, and its kind and size."""
-    if is_lossless:
-        kind, data = "png", cv2.imencode(".png", np.ascontiguousarray(samples[..., ::-1]))[1].tobytes()
-    else:
-        kind, data = "jpeg", jpeg_bytes(samples, quality)
-    return data, {"type": f"image/{kind}", "width": samples.shape[1], "height": samples.shape[0]}
 
 
 def packed_mask(mask: Bool[np.ndarray, "height width"], width: int) -> UInt8[np.ndarray, "rows cols"]:

@@ -61,7 +61,8 @@ def _page(title: str, held: str, script: str, *, folder: bool) -> bytes:
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
     values = {"policy": policy, "title": title, "style": style, "held": held, "script": script}
-    return _web().get_template("page.html").render(values).encode()
+    template = Environment(undefined=StrictUndefined, autoescape=True).from_string(_read("page.html"))
+    return template.render(values).encode()
 
 
 @cache
@@ -77,17 +78,9 @@ def module_code() -> str:
     return f"{constants}const CONSTANTS = `{defines}`;\n{held}" + "\n".join(_read(f"{name}.js") for name in SCRIPTS)
 
 
-@cache
-def _web() -> Environment:
-    loader = PackageLoader("omnisyn_cli.interpolation.viewer", "web")
-    return Environment(loader=loader, undefined=StrictUndefined, autoescape=True)
-
-
 def _read(name: str) -> str:
-    loader = _web().loader
-    if loader is None:
-        raise FileNotFoundError(name)
-    return loader.get_source(_web(), name)[0]
+    loader = PackageLoader("omnisyn_cli.interpolation.viewer", "web")
+    return loader.get_source(Environment(autoescape=True), name)[0]
 
 
 def _hash(text: str) -> str:

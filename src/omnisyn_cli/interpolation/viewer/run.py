@@ -126,10 +126,7 @@ def run_view(
     """Write the walk; all of it appears when everything has gone well.
 
     ``on_pair`` is called with the number of finished pairs after each; an estimator finds depth in place of the plan's.
-
-    Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
-    doubtful and the fallback is to give up; OutputPathError: the walk is too large for one file; WriteError: the
-    disk is full.
+    InputError: as :func:`tour_surfaces`. OutputPathError: too large for one file. WriteError: the disk is full.
     """
     clock, job, summary = Stopwatch(), plan.job, TourSummary(plan)
     former = former_files(job.output, [MANIFEST_NAME], NAMED_BLOCK)

@@ -68,7 +68,6 @@ FORMATS: Mapping[str, Format] = {
 }
 
 IMPORT_FORMATS = tuple(FORMATS)
-
 FORMAT_BY_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors", ".xml": "metashape"}
 
 

@@ -74,13 +74,10 @@ def _cut_panoramas(model: Model) -> Iterator[tuple[str, str, Pose]]:
 
 
 def _panorama_from_rig(rig: Mapping[int, Pose]) -> Pose | None:
-    """The turn from the reference to the panorama; None where cameras roll, stand apart, or do not tell what is up.
-
-    Faces without roll have level x axes. What is orthogonal to all of these is the vertical.
-    """
+    """The turn from the reference to the panorama; None where cameras roll, stand apart, or do not tell what is up."""
     turns = np.stack([pose.rotation for pose in rig.values()])
     offsets = np.stack([pose.position for pose in rig.values()])
-    _, spread, axes = np.linalg.svd(turns[:, 0])
+    _, spread, axes = np.linalg.svd(turns[:, 0])  # x axes, level without roll: the vertical is orthogonal to all
     is_level = len(turns) > 1 and spread[1] > MIN_AXES_SPREAD and (len(spread) < 3 or spread[2] < MAX_LEVEL_ERROR)
     if not is_level or offsets.any():
         return None
@@ -114,13 +111,9 @@ def colmap_rig_files(
 ) -> dict[str, str]:
     """A model of square pinhole cameras of 90° in one place, turned to the faces of a cube: COLMAP 3.12 and later.
 
-    The five files of the model, and ``rig_config.json``. The image ``NAME`` of a face is called ``FACE/NAME``.
-
-    Args:
-        poses: world-from-camera of the panoramas, by the names that the images of all faces have.
-        faces: by name, rig-from-face in COLMAP's camera axes; the first is the reference and unturned.
-        side: rows and columns of a face.
-        points: see :func:`colmap_files`.
+    The five files of the model, and ``rig_config.json``. The image ``NAME`` of a face is called ``FACE/NAME``, and has
+    as many rows as its ``side``. Poses are world-from-camera, faces rig-from-face in COLMAP's camera axes; the first is
+    the reference and unturned. Points: see :func:`colmap_files`.
     """
     rig_poses = {face: Pose(np.asarray(turn).T, np.zeros(3)) for face, turn in faces.items()}
     half = repr(side / 2)

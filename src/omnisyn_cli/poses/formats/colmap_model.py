@@ -20,7 +20,6 @@ from omnisyn_cli.poses.entries import checked_quaternion
 from omnisyn_cli.poses.formats.files import data_lines, numbers
 
 IMAGES = "images.txt"
-
 BINARY_IMAGES = "images.bin"
 
 # Files of a model; any of them stands for it.
@@ -38,7 +37,6 @@ PARAMETER_COUNTS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)
 EQUIRECTANGULAR_ID, SPHERE_ID = 17, 11
 
 SPHERE_PARAMETER_COUNT = 3
-
 POINT_BYTES = 24  # Of a 2-D point in ``images.bin``: x, y and the number of its 3-D point
 MAX_NAME_BYTES = 4096  # Longer names are no file's
 MAX_DIGITS = 20  # Of the greatest number of 64 bits

@@ -42,7 +42,6 @@ WORLD_UP = {
 # Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it.
 MIN_MEAN_UP_LENGTH = 1e-3
 CAMERAS_UP = "world: up is the mean of the cameras' own"  # the note about :func:`levelled`
-
 Origin = tuple[float, float, float]
 """WGS84 latitude and longitude in degrees, altitude in metres."""
 

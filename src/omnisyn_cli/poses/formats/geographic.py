@@ -5,8 +5,6 @@ Where none is known, the directions of the cameras seen in the pictures are laid
 turn about the vertical. Where pictures tell nothing, the image centre is taken to look along the track.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,15 +28,13 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_heading,
 )
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, ImportOptions, Origin
+from omnisyn_cli.poses.formats.files import WORLD_UP, ImportedPoses, ImportedView, ImportOptions, Origin
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.registration.scan import Scan
 
 Rotations = dict[str, Float[np.ndarray, "3 3"]]
 
-# Metres between the two points that give a plumb line; any length serves, a long one keeps more digits.
-PLUMB_LINE_LENGTH = 1e6
 # Largest absolute values of the fields of :class:`Place`, in their units.
 PLACE_LIMITS = {"latitude": 90.0, "longitude": 180.0, "heading": 360.0, "pitch": 90.0, "roll": 180.0, "altitude": 1e6}
 
@@ -103,10 +99,9 @@ def rotation_at(place: Place, options: ImportOptions) -> Float[np.ndarray, "3 3"
 
 def local_world(place: Origin, origin: Origin) -> Pose:
     """The local world (x east, y up, −z north) of one place, seen in that of another."""
-    latitude, longitude, _ = place
-    up = _plumb(latitude, longitude, origin)
-    north = _plumb(latitude + 90.0, longitude, origin)  # upwards a quarter of the meridian further, pole or not
-    return Pose(np.stack([np.cross(north, up), up, -north], axis=-1), _position(*place, origin))
+    ours = WORLD_UP["z"]
+    turn = ours @ enu_axes(*origin[:2]) @ enu_axes(*place[:2]).T @ ours.T
+    return Pose(turn, ours @ enu_from_geographic(*place, origin))
 
 
 def geographic_from_ecef(position: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
@@ -140,26 +135,11 @@ def altitudes_note(source: str) -> str:
     )
 
 
-def _position(latitude: float, longitude: float, altitude: float, origin: Origin) -> Float[np.ndarray, " 3"]:
-    east, north, up = enu_from_geographic(latitude, longitude, altitude, origin)
-    return np.array([east, up, -north])
-
-
-def _plumb(latitude: float, longitude: float, origin: Origin) -> Float[np.ndarray, " 3"]:
-    """Unit vector upwards at a place: altitude grows along a straight line."""
-    along = _position(latitude, longitude, PLUMB_LINE_LENGTH, origin) - _position(latitude, longitude, 0.0, origin)
-    return np.asarray(along / PLUMB_LINE_LENGTH)
-
-
 def _rotations_by_neighbours(
     positions: Mapping[str, Float[np.ndarray, " 3"]], known: Rotations, held: Rotations,
     images: Mapping[str, Path | None],
 ) -> tuple[Rotations, list[str]]:  # fmt: skip
-    """World-from-camera rotations of all panoramas, and what there is to say about those that were not known.
-
-    Positions are in walking order, and ``held`` is as if all looked north. A panorama is left out where all were taken
-    in one place and pictures tell nothing.
-    """
+    """World-from-camera rotations of all that have one, and notes; ``held`` is as if all looked north."""
     scan_of = lru_cache(maxsize=2)(_scan)
     relative = {
         pair: pose
@@ -190,20 +170,22 @@ def _rotations_by_neighbours(
     return found, notes
 
 
-def _scan(path: Path | None) -> Scan | None:
+def _scan(path: Path | None) -> "Scan | None":
     """What is distinctive in a panorama; None of a picture that is none."""
     # OpenCV takes a while to import and is needed only where headings are missing.
     from omnisyn_cli.io import read_panorama
     from omnisyn_cli.poses.registration.scan import scan_panorama
 
+    if path is None:
+        return None
     try:
-        panorama = None if path is None else read_panorama(path)
+        panorama = read_panorama(path)
     except ImageError:
         return None
-    return None if panorama is None else scan_panorama(panorama.image, panorama.mask)
+    return scan_panorama(panorama.image, panorama.mask)
 
 
-def _relative_pose(first: Scan | None, second: Scan | None) -> Pose | None:
+def _relative_pose(first: "Scan | None", second: "Scan | None") -> Pose | None:
     """Rotation and direction of the second camera in the frame of the first, if their pictures tell them."""
     from omnisyn_cli.poses.registration.scan import register_pair
 
@@ -226,10 +208,7 @@ def _carry_on(rotations: Rotations, relative: Mapping[tuple[str, str], Pose]) ->
 def _laid_on_track(
     group: Rotations, relative: Mapping[tuple[str, str], Pose], positions: Mapping[str, np.ndarray]
 ) -> tuple[Rotations, float] | None:
-    """Rotations of a group and all compared with it; the largest angle by which directions in pictures miss the way.
-
-    One turn about the vertical makes them fit best. None where nobody has moved.
-    """
+    """A group and all compared with it, turned to fit the track; the largest angle off it. None: nobody has moved."""
     _carry_on(group, relative)
     pairs = [pair for pair in relative if pair[0] in group and pair[1] in group]
     ways = np.array([positions[b] - positions[a] for a, b in pairs]).reshape(-1, 3)[:, [0, 2]]

@@ -40,9 +40,7 @@ from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, find_v
 from omnisyn_cli.poses.formats.geographic import local_world, origin_note
 
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
-
 Matrix = Annotated[list[Row], Field(min_length=3, max_length=4)]
-
 EQUIRECTANGULAR = "EQUIRECTANGULAR"
 
 
@@ -145,7 +143,6 @@ def _scale_of(path: Path, transform: list[Row] | None) -> float:
 
 
 SPHERICAL_PROJECTIONS = frozenset({"spherical", "equirectangular"})
-
 MAX_ABSOLUTE = 1e9  # Radians or metres; more is a mistake, and its square might overflow
 
 Vector = Annotated[

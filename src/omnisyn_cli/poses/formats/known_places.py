@@ -10,14 +10,14 @@ Source: Google, "Photo Sphere XMP Metadata"; Exif 2.32 and 3.0, GPS attribute in
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.decode import ImageHeader, read_header
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, images_in
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, images_in, noted
 from omnisyn_cli.poses.formats.geographic import Place, altitudes_note, imported_places
 
 ELLIPSOID_ALTITUDE_REFS = (2, 3)  # Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)
@@ -25,11 +25,12 @@ POSE_TAGS = ("Heading", "Pitch", "Roll")  # GPano's, between ``Pose`` and ``Degr
 
 
 def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
-    """Poses of image files, or of the images in folders; images without any place are left out and named.
-
-    A file that is given twice, by itself and in its folder, counts once.
-    """
-    paths = _different(path for source in sources for path in (images_in(source) if source.is_dir() else [source]))
+    """Poses of image files, or of the images in folders, each once; those without any place are left out and named."""
+    files: dict[str, Path] = {}
+    for source in sources:
+        for path in images_in(source) if source.is_dir() else [source]:
+            files.setdefault(os.path.realpath(path), path)
+    paths = list(files.values())
     headers = {name: read_header(path) for name, path in zip(_names(paths), paths, strict=True)}
     placed = {name: header for name, header in headers.items() if _has_place(header)}
     where = str(sources[0])
@@ -42,14 +43,6 @@ def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
     places = {name: _place_in_exif(header, has_pose=name not in untold) for name, header in placed.items()}
     notes = _exif_notes(list(placed.values()), [name for name in headers if name not in placed], untold)
     return imported_places(where, places, {name: header.path for name, header in placed.items()}, options, notes)
-
-
-def _different(paths: Iterable[Path]) -> list[Path]:
-    """Paths without those that lead to the file of an earlier one."""
-    files: dict[str, Path] = {}
-    for path in paths:
-        files.setdefault(os.path.realpath(path), path)
-    return list(files.values())
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -103,26 +96,21 @@ def _place_in_exif(header: ImageHeader, *, has_pose: bool) -> Place:
     return place
 
 
-def _exif_notes(headers: list[ImageHeader], skipped: list[str], untold: list[str]) -> list[str]:
-    notes = []
-    if untold:
-        notes.append(f"headings: 0 as well as pitch and roll in all of {listed(untold)}, taken for placeholders")
-    if any(h.altitude is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID_ALTITUDE_REFS for h in headers):
-        notes.append(altitudes_note("EXIF"))
+def _exif_notes(headers: list[ImageHeader], skipped: list[str], untold: list[str]) -> tuple[str, ...]:
     by_compass = [
         h for h in headers if h.number("GPano:PoseHeadingDegrees") is None and h.number("GPS:ImgDirection") is not None
     ]
-    if by_compass:
-        names = listed([header.path.name for header in by_compass])
-        notes.append(f"headings: no GPano heading in {names}; GPSImgDirection is taken as that of the image centre")
     magnetic = [h for h in by_compass if str(h.attributes.get("GPS:ImgDirectionRef", "")).strip().upper() == "M"]
-    if magnetic:
-        names = listed([header.path.name for header in magnetic])
-        notes.append(f"headings: magnetic north in {names}, taken as true north; the declination is not corrected")
-    if any(h.number("GPano:PosePitchDegrees") is None for h in headers):
-        notes.append("pitch and roll: taken as 0 where GPano does not say")
-    if any(float(h.attributes["GPS:Latitude"][0]) % 1 for h in headers):
-        notes.append("positions: written as fractions of degrees, which OpenImageIO reads to about half a metre only")
-    if skipped:
-        notes.append(f"left out: {listed(skipped)} without GPS")
-    return notes
+    of_compass, of_magnetic = (listed([header.path.name for header in each]) for each in (by_compass, magnetic))
+    return noted({
+        f"headings: 0 as well as pitch and roll in all of {listed(untold)}, taken for placeholders": untold,
+        altitudes_note("EXIF"): any(
+            h.altitude is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID_ALTITUDE_REFS for h in headers),
+        f"headings: no GPano heading in {of_compass}; GPSImgDirection is taken as that of the image centre": by_compass,
+        f"headings: magnetic north in {of_magnetic}, taken as true north; the declination is not corrected": magnetic,
+        "pitch and roll: taken as 0 where GPano does not say": any(
+            h.number("GPano:PosePitchDegrees") is None for h in headers),
+        "positions: written as fractions of degrees, which OpenImageIO reads to about half a metre only": any(
+            float(h.attributes["GPS:Latitude"][0]) % 1 for h in headers),
+        f"left out: {listed(skipped)} without GPS": skipped,
+    })  # fmt: skip

@@ -62,12 +62,8 @@ def read_metashape(source: Path, options: ImportOptions) -> ImportedPoses:
 
 
 def _in_world(
-    source: Path,
-    posed: Sequence[tuple[str, Pose]],
-    transform: Element | None,
-    options: ImportOptions,
-    *,
-    is_local: bool,
+    source: Path, posed: Sequence[tuple[str, Pose]], transform: Element | None, options: ImportOptions,
+    *, is_local: bool,
 ) -> tuple[tuple[ImportedView, ...], dict[str, object]]:  # fmt: skip
     """Panoramas in our world, and what there is to say about it."""
     scale, world = 1.0, Pose.identity()

@@ -46,9 +46,7 @@ COLUMNS = {
     **{f"q{part}": (f"q{part}", f"pano_ori_{part}", f"ori_{part}", f"quat_{part}") for part in "wxyz"},
 }
 POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
-
 REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
-
 MAX_RADIAN_HEADING = 6.3  # Just above 2π: headings that all stay below may be radians
 MAX_LOCAL_METRES = 1e4  # farther from the origin, coordinates are those of a country and counted from the first ones
 

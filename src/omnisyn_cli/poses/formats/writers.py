@@ -30,11 +30,8 @@ def export_poses(
     The panoramas lie in the folder ``images`` (None: that of the pose file). All have ``size`` (height, width; None
     reads it from their files). Files that exist are replaced with ``overwrite``. Notes for the user come back.
 
-    Raises:
-        PoseError: a panorama that is needed was not found or is no JPEG, or a name that the format cannot hold.
-        ImageError: a panorama that is no image.
-        OutputPathError: a file exists, or there is no folder to write into.
-        WriteError: the disk is full, or the folder went away.
+    Raises PoseError: a panorama that is needed was not found or is no JPEG, or a name that the format cannot hold;
+    ImageError: a panorama that is no image; OutputPathError, WriteError: as :func:`write_imported`.
     """
     if format_name not in EXPORT_FORMATS:
         raise ValueError(f"expected one of {', '.join(EXPORT_FORMATS)}, got {format_name!r}")
@@ -130,10 +127,8 @@ def write_imported(
     copied there like the panoramas, under names that differ. The answer tells the user what was left out, or is not
     where it will be looked for.
 
-    Raises:
-        PoseError: an image twice, or panoramas that were not found with ``copy_images``.
-        OutputPathError: a file exists, or there is no folder to write into.
-        WriteError: the disk is full, or the folder went away.
+    Raises PoseError: an image twice, or panoramas that were not found with ``copy_images``; OutputPathError: a file
+    exists, or there is no folder to write into; WriteError: the disk is full, or the folder went away.
     """
     outputs.check_output(output, overwrite)
     missing = [view.name for view in imported.views if view.image is None]

@@ -8,8 +8,6 @@ numbers for each panorama.
 Source: Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment: a modern synthesis, 2000.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +21,6 @@ from omnisyn_cli.poses.registration.least_squares import cross_matrices
 from omnisyn_cli.poses.registration.pose_graph import Edge, connected_with
 
 MAX_ITERATIONS = 40
-
 MIN_STEP = 2e-5  # Radians, or shares of a baseline: smaller steps end the search
 
 # Pixels of a residual that quarter the weight of a match, at first and in the end, and their factor in between.
@@ -39,10 +36,7 @@ class Adjustment:
     covariance: Float[np.ndarray, "m m"]
 
     def relative_std(self, first: int, second: int) -> tuple[float, float]:
-        """Standard deviations of the second pose as the first camera sees it: radians, and share of the distance.
-
-        Infinite where both stand in one place.
-        """
+        """Of the second pose as the first camera sees it: radians, and share of the distance, infinite in one place."""
         begins = [6 * list(self.poses).index(panorama) for panorama in (first, second)]
         step = self.poses[second].position - self.poses[first].position
         change = np.zeros((6, len(self.covariance)))
@@ -58,10 +52,7 @@ class Adjustment:
 def adjust(
     world: Mapping[int, Pose], edges: Sequence[Edge], given: Mapping[tuple[int, int], float] | None = None
 ) -> Adjustment:
-    """The poses that explain all matches best; the first one stays as it is.
-
-    Distances that are ``given`` are kept; without any, the sum of the distances of all pairs.
-    """
+    """The poses that explain all matches best; the first stays, and so do ``given`` distances, or else their sum."""
     number = {panorama: k for k, panorama in enumerate(world)}
     matches = Observations.of(edges, number)
     rotation, position = (

@@ -3,8 +3,6 @@
 An anchor and the panoramas that see its points make a star. Stars share no points: each is eliminated by itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,7 +28,7 @@ class State:
     position: np.ndarray
     inverse: np.ndarray
 
-    def moved(self, step: np.ndarray, by_point: np.ndarray) -> State:
+    def moved(self, step: np.ndarray, by_point: np.ndarray) -> "State":
         """Turned and moved by ``(n, 6)`` and ``(p,)``; no point goes beyond infinity."""
         turned = rotation_from_rotation_vector(step[:, :3]) @ self.rotation
         return State(turned, self.position + step[:, 3:], np.maximum(self.inverse + by_point, 0.0))
@@ -52,7 +50,7 @@ class Observations:
     cluster: np.ndarray  # ``(m,)`` number of the part of the world that it shows: its matches err together
 
     @staticmethod
-    def of(edges: Sequence[Edge], number: Mapping[int, int]) -> Observations:
+    def of(edges: Sequence[Edge], number: Mapping[int, int]) -> "Observations":
         """Of the matches of all pairs, each twice."""
         parts = []
         for edge in edges:
@@ -102,7 +100,7 @@ class Lengths:
 
     @staticmethod
     def of(edges: Sequence[Edge], given: Mapping[tuple[int, int], float], number: Mapping[int, int],
-           position: np.ndarray) -> Lengths:  # fmt: skip
+           position: np.ndarray) -> "Lengths":  # fmt: skip
         """Those that are given, else the sum of all; and weakly each as it is at these positions."""
         apart = [edge for edge in edges if not edge.estimate.have_same_position]
         first, second = (np.array([number[getattr(e, end)] for e in apart], int) for end in ("first", "second"))
@@ -149,7 +147,7 @@ class _Star:
 
     @staticmethod
     def of(matches: Observations, chosen: slice, by_pose: np.ndarray, by_point: np.ndarray,
-           residual: np.ndarray) -> _Star:  # fmt: skip
+           residual: np.ndarray) -> "_Star":  # fmt: skip
         """Of the observations of one anchor, with their derivatives ``(m, 3, 12)`` and ``(m, 3)``."""
         others, which = np.unique(matches.other[chosen], return_inverse=True)
         columns = (6 * np.append(matches.anchor[chosen.start], others)[:, None] + np.arange(6)).ravel()
@@ -187,7 +185,7 @@ class Equations:
     stars: tuple[_Star, ...]  # of all anchors
 
     @staticmethod
-    def of(matches: Observations, lengths: Lengths, state: State, spread: float) -> Equations:
+    def of(matches: Observations, lengths: Lengths, state: State, spread: float) -> "Equations":
         """Linearised, with the weights of Geman and McClure."""
         residual, towards = matches.residual(state)
         ray, seen, apart = matches.world(state.rotation, state.position)

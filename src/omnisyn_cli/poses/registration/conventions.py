@@ -38,9 +38,7 @@ SIGNED_PERMUTATIONS = [
 
 # Full turns (2π) in 180 radians, rounded up: what an angle in degrees loses when it is read as radians.
 MAX_LOST_TURNS = 29
-
 MIN_ANGLE = 1e-9  # Radians; smaller rotations have no axis
-
 Correction = Callable[[Pose, Pose], tuple[Pose, Pose]]
 
 
@@ -73,12 +71,10 @@ def combined_hypotheses() -> Iterator[ConventionHypothesis]:
     for first, second in product(common, common):
         if first.stage < second.stage:
             yield ConventionHypothesis(
-                f"{first.name}+{second.name}",
-                second.stage,
-                f"{first.words}, and {second.words}",
-                f"{first.remedy}; then {second.remedy}",
+                f"{first.name}+{second.name}", second.stage,
+                f"{first.words}, and {second.words}", f"{first.remedy}; then {second.remedy}",
                 lambda a, b, earlier=first.correct, later=second.correct: later(*earlier(a, b)),  # type: ignore[misc]
-            )
+            )  # fmt: skip
 
 
 def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> Iterator[ConventionHypothesis]:
@@ -90,12 +86,11 @@ def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> I
     relative = np.swapaxes(firsts, 1, 2)[:, None] @ seconds[None]
     for i, k in np.argwhere(rotation_angle(found.rotation.T @ relative) <= limit):
         yield ConventionHypothesis(
-            "degrees-for-radians",
-            NUMBER_STAGE,
+            "degrees-for-radians", NUMBER_STAGE,
             "rotation angles in degrees were taken for radians",
             "convert angles to radians before making quaternions or matrices of them",
             lambda a, b, r=firsts[i], s=seconds[k]: (Pose(r, a.position), Pose(s, b.position)),  # type: ignore[misc]
-        )
+        )  # fmt: skip
 
 
 def heading_angles(rotation: np.ndarray) -> tuple[float, float, float]:
@@ -181,12 +176,11 @@ def _each(
 def _mirror(axis: str, signs: tuple[int, int, int]) -> ConventionHypothesis:
     m = np.diag(np.array(signs, float))
     return _each(
-        f"mirrored-{axis}",
-        AXES_STAGE,
+        f"mirrored-{axis}", AXES_STAGE,
         f"the poses are from a left-handed frame, the {axis} axis mirrored (or the images are flipped)",
         f"with M = diag{signs} write M·R·M as rotation and M·p as position",
         lambda pose: Pose(m @ pose.rotation @ m, m @ pose.position),
-    )
+    )  # fmt: skip
 
 
 def _position_axes(name: str, axes: str, words: str, is_common: bool = True) -> ConventionHypothesis:
@@ -197,25 +191,21 @@ def _position_axes(name: str, axes: str, words: str, is_common: bool = True) -> 
 
 def _other_camera_axes(matrix: np.ndarray) -> ConventionHypothesis:
     return _each(
-        "camera-axes",
-        AXES_STAGE,
+        "camera-axes", AXES_STAGE,
         f"the rotations are for other camera axes: x, y, z of this program are {_written(matrix.T)} there",
         f"multiply every rotation by {matrix.astype(int).tolist()} from the right",
-        _turned(matrix),
-        is_common=False,
-    )
+        _turned(matrix), is_common=False,
+    )  # fmt: skip
 
 
 def _one_half_turn(index: int, word: str) -> ConventionHypothesis:
     turned = _turned(HALF_TURN)
     return ConventionHypothesis(
-        f"{word}-centre-at-edge",
-        AXES_STAGE,
+        f"{word}-centre-at-edge", AXES_STAGE,
         f"the {word} image alone has its centre at the left and right edge (turned by 180° of yaw)",
         f"roll the {word} image by half its width, or turn its rotation by 180° about its y axis",
-        lambda first, second: (first, turned(second)) if index else (turned(first), second),
-        is_common=False,
-    )
+        lambda first, second: (first, turned(second)) if index else (turned(first), second), is_common=False,
+    )  # fmt: skip
 
 
 def _written(matrix: np.ndarray) -> str:

@@ -34,13 +34,11 @@ CLOSE_LIMITS = (math.radians(15.0), math.radians(20.0))
 EXPLANATION_LIMITS = (math.radians(3.0), math.radians(5.0))
 # The same where thousands of corrections are tried, of which one may come close by chance.
 DEGREES_EXPLANATION_LIMITS = (math.radians(1.0), math.radians(1.0))
-
 MIN_IMPROVEMENT = 3.0  # Factor by which a correction has to reduce the larger error of the poses as given
 TIE_ANGLE = math.radians(1.0)  # Corrections whose errors differ by less cannot be told apart by one pair
 
 # Decrease of χ² that is worth a change: χ² of five degrees of freedom stays below it in 9,999 cases of 10,000.
 MIN_CHI_SQUARED_GAIN = 25.0
-
 PLAUSIBLE_CAMERA_HEIGHTS = (0.3, 4.0)  # Metres above the floor: from a tripod on the ground to the roof of a car
 EXPECTED_CAMERA_HEIGHT = 1.5  # Metres above the floor, of a camera on a tripod or in a raised hand
 MAX_ALTERNATIVES = 4  # Further explanations that are printed; ``--json`` lists all

@@ -13,8 +13,6 @@ Source: Morel and Yu, ASIFT: a new framework for fully affine invariant image co
 to those that gravity leaves.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache, reduce
@@ -37,7 +35,6 @@ MAX_IMAGE_ROWS = 1024  # Larger panoramas are reduced to this height: features a
 MAX_SIFT_POINTS, MAX_FEATURES = 10_000, 6000
 # Latitude within which every direction lies in one of three orthogonal bands.
 BAND_LATITUDE = math.asin(1.0 / math.sqrt(3.0))
-
 BAND_MARGIN = math.radians(9.0)  # Radians around a band that descriptors may reach into
 SIFT_CONTRAST_THRESHOLD = 0.02  # OpenCV's default is 0.04; half of it still finds features in plain rooms
 LOWE_RATIO = 0.8  # The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)
@@ -52,7 +49,6 @@ CAMERA_FROM_BAND = tuple(
 # Rows of the picture that is searched: larger panoramas are reduced to it, smaller ones enlarged by at most this. That
 # finds a third more matches in panoramas of 1024 rows.
 FINE_ROWS, MAX_ENLARGEMENT = 1536, 1.5
-
 WALL_LATITUDE = math.radians(55.0)  # Radians above and below the horizon that walls are looked for in
 SQUEEZE = 2  # Factor by which the second search narrows walls: those seen at 30° instead of 90°
 
@@ -71,7 +67,7 @@ class Features:
     descriptor: Float[np.ndarray, "n 128"]  # float32, whole numbers
     pixel: float  # radians that one pixel of the searched image covers
 
-    def strongest(self, count: int) -> Features:
+    def strongest(self, count: int) -> "Features":
         """The first ones; they are sorted by their response."""
         return Features(self.direction[:count], self.descriptor[:count], self.pixel)
 
@@ -88,11 +84,11 @@ class Matches:
     def __len__(self) -> int:
         return len(self.first)
 
-    def __add__(self, other: Matches) -> Matches:
+    def __add__(self, other: "Matches") -> "Matches":
         first, second = np.concatenate([self.first, other.first]), np.concatenate([self.second, other.second])
         return Matches(first, second, max(self.pixel, other.pixel))
 
-    def select(self, chosen: np.ndarray) -> Matches:
+    def select(self, chosen: np.ndarray) -> "Matches":
         """Those of a mask or of indices."""
         return Matches(self.first[chosen], self.second[chosen], self.pixel)
 
@@ -176,10 +172,7 @@ def _band_features(grey: np.ndarray, axis: int) -> FoundPoints:
 
 @lru_cache(maxsize=3)
 def band_table(size: tuple[int, int], axis: int) -> tuple[RemapTable, int, int]:
-    """Where a band is in images of a size; its first row, and the columns that are repeated on both sides.
-
-    The next panorama needs the same; who has read the last one calls ``cache_clear``.
-    """
+    """Where a band is in images of a size; its first row, and the columns that are repeated on both sides."""
     directions, top, wrap = band_directions(size, BAND_LATITUDE + BAND_MARGIN)
     return RemapTable.for_directions(directions @ CAMERA_FROM_BAND[axis].T, size), top, wrap
 
@@ -232,11 +225,9 @@ def fine_grey_of(image: Float[np.ndarray, "height width 3"]) -> UInt8[np.ndarray
 
 
 def find_levelled_features(
-    grey: UInt8[np.ndarray, "height width"],
-    up: Float[np.ndarray, " 3"],
-    usable: Bool[np.ndarray, "rows cols"] | None = None,
-    threads: int | None = None,
-) -> LevelledFeatures:
+    grey: UInt8[np.ndarray, "height width"], up: Float[np.ndarray, " 3"],
+    usable: Bool[np.ndarray, "rows cols"] | None = None, threads: int | None = None,
+) -> LevelledFeatures:  # fmt: skip
     """Features of a panorama in grey whose zenith is ``up``."""
     level_from_camera = rotation_taking(up, UP)
     with limited_threads(threads):

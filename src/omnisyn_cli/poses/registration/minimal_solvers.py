@@ -21,7 +21,6 @@ BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0
 SAMPLE_POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3], float) - 0.75
 # Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`.
 COEFFICIENTS_FROM_VALUES = np.linalg.inv(np.prod(SAMPLE_POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
-
 MAX_IMAGINARY_PART = 1e-6  # Imaginary part, relative to the absolute value, up to which a root counts as real
 MIN_RELATIVE_DETERMINANT = 1e-10  # Determinant, relative to the lengths of its rows, below which a sample is degenerate
 

@@ -4,8 +4,6 @@ Rotations are averaged over all pairs. Pictures do not tell the length of a base
 panorama share tell the ratio of theirs. Then positions follow from directions and lengths by linear least squares.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,28 +18,23 @@ from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, su
 
 # Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then.
 MIN_PARALLAX_PIXELS = 6.0
-
 MIN_SHARED_POINTS = 5  # Points that two pairs have to share for a ratio of their baselines
 MAX_SHARED_WEIGHT = 100  # Shared points beyond this make a ratio no more credible
 
 # Weight, in shared points, of baselines being equal: it decides only where nothing else does.
 EQUAL_LENGTH_WEIGHT = 0.01
-
 GIVEN_LENGTH_WEIGHT = 1e4  # Weight, in shared points, of a baseline that is given
 UNTOLD_WEIGHT = 1e-4  # Factor of the weight of scales being equal: it decides only where directions do not
 AVERAGING_ROUNDS = 50  # Of rotation averaging, each over all panoramas; a chain needs none
 
+# Radians off the mean at which a pair has a quarter of its weight and from which on it contradicts the others. Right
+# pairs are off by tenths of a degree.
 CONTRADICTION_ANGLE = math.radians(3.0)
-"""Radians off the mean at which a pair has a quarter of its weight and from which on it contradicts the others.
-
-Right pairs are off by tenths of a degree."""
-
 # The same of directions, of which weak pairs along a corridor are off by up to 4°.
 CONTRADICTION_DIRECTION = math.radians(5.0)
 
 # Of the distance of a pair in the set to what its points say. Right pairs of generated chains are off by 2 %.
 CONTRADICTION_RATIO = 1.25
-
 MAX_IN_PLACE_SHARE = 0.1  # Of the median distance of pairs: farther apart, two panoramas are not in one place
 
 # Of matches that contradict a pair: fewer agree with another pose by chance. At most 11 did with random directions.
@@ -231,11 +224,9 @@ def baseline_lengths(
 
 
 def positions_of(
-    edges: Sequence[Edge],
-    lengths: Float[np.ndarray, " edges"],
-    scale_of: Int[np.ndarray, " edges"],
+    edges: Sequence[Edge], lengths: Float[np.ndarray, " edges"], scale_of: Int[np.ndarray, " edges"],
     rotations: Mapping[int, np.ndarray],
-) -> dict[int, Float[np.ndarray, " 3"]]:
+) -> dict[int, Float[np.ndarray, " 3"]]:  # fmt: skip
     """Positions from directions and lengths; the first panorama stands at the origin.
 
     Pairs weigh by their matches, and less the longer they are: errors of a direction grow with the length. Directions

@@ -37,11 +37,9 @@ from omnisyn_cli.poses.registration.minimal_solvers import (
 
 MIN_MATCHES = 8  # Five determine a pose; three more have to agree with it
 
+# Decimal logarithm of the number of poses that as many matches would agree with by chance, as closely. All of 43 real
+# pairs that see each other are below.
 MAX_LOG_FALSE_ALARMS = -8.0
-"""Decimal logarithm of the number of poses that as many matches would agree with by chance, as closely.
-
-Of 17 pairs of real panoramas that do not see each other none was below −3. All of 43 that do see each other are below.
-"""
 
 CLEAR_LOG_FALSE_ALARMS = -40.0  # The same of a pose that ends the search
 
@@ -61,32 +59,25 @@ MIN_CHANCE = 1e-4
 # Inlier thresholds within which agreement is counted: within the one that makes it least likely by chance, as right
 # matches spread over a fifth of the widest, and wrong ones evenly.
 SPREADS = (1.0, 0.5, 0.25)
-
 CHANCE_SAMPLES = 150  # Matches whose directions are paired at random, each with each, to find that probability
 
 # Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing.
 DISTINCT_ANGLE = math.radians(2.0)
 
+# Side of the cells that matches are counted in; all cells weigh the same. A floor of equal tiles has hundreds of
+# matches, all consistently wrong by some tiles, in a small part of the sphere.
 CROWDED_ANGLE = math.radians(10.0)
-"""Side of the cells that matches are counted in; all cells weigh the same.
-
-A floor of equal tiles has hundreds of matches, all consistently wrong by some tiles, in a small part of the sphere.
-"""
 
 MIN_TURN_INLIERS = 12  # Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does
-
 FORWARD_POSE = Pose(np.eye(3), FORWARD)
-
 MIN_INLIER_SHARE = 0.08  # Share of all matches that have to agree with a pose at least
 
 # Pixels (of the searched image) from its epipolar circle within which a match is an inlier.
 INLIER_THRESHOLD_PIXELS = 1.0
-
 SAMPLES_PER_BATCH, MAX_BATCHES = 300, 12  # Samples that are drawn at once, and how many times at most
 
 # Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree.
 UPRIGHT_SCALE = 4.0
-
 CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among those drawn
 HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
 REFINED_HYPOTHESES = 6  # Hypotheses that are refined
@@ -98,7 +89,6 @@ RIVAL_ANGLE, RIVAL_SHARE = math.radians(10.0), 0.6
 CLEAR_SHARE = 0.6
 # Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place.
 MIN_ROTATION_ONLY_SHARE = 0.9
-
 MAX_DIRECTION_STD = 0.2  # Radians; a baseline direction with a larger standard deviation counts as unknown
 
 
@@ -293,10 +283,7 @@ Solver = Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "k 3 3"]]
 def _hypotheses(
     matches: Matches, weight: np.ndarray, scale: float, solver: Solver, size: int, share: float = 0.0
 ) -> Float[np.ndarray, "k 3 3"]:
-    """The best :data:`REFINED_HYPOTHESES` essential matrices of random samples of a ``size``, best first.
-
-    ``share`` of the matches is known to agree with some pose.
-    """
+    """The best essential matrices of random samples, best first; a ``share`` of the matches agrees with some pose."""
     rng, drawn, cumulative = np.random.default_rng(0), 0, np.cumsum(weight)
     best, costs = np.zeros((0, 3, 3)), np.zeros(0)
     pairs = ((matches.first, matches.second), (matches.first, matches.first), (matches.second, matches.second))

@@ -4,8 +4,6 @@ Straight lines of the world are great circles of the sphere. Those of vertical l
 normals of their planes are horizontal. Cameras are taken to be held upright within :data:`MAX_TILT`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -16,6 +14,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import UP, normalize
 from omnisyn_cli.poses.registration.features import (
@@ -49,21 +48,18 @@ MAX_TILT = math.radians(35.0)
 # Side of the six tangent images that lines are looked for in, over the rows of the panorama, and tangent of half their
 # angle. They overlap a little, so that no line is lost at an edge. In larger ones the columns of pixels become lines.
 FACE_SHARE, FACE_TANGENT = 0.625, 1.1
-
 MIN_LINE_ANGLE = math.radians(2.0)  # Radians that a line segment has to span
 MAX_LINES = 800  # The longest ones are searched; each is compared with every hypothesis
 HYPOTHESES = 3000  # Pairs of lines that are tried, long ones more often
 
 # Radians off the zenith within which a line speaks for it, in the search and in the end.
 VOTE_WIDTH, FIT_WIDTH = math.radians(1.5), math.radians(0.4)
-
 FIT_ROUNDS = 15  # Rounds of reweighted least squares; the width shrinks by a fifth in each
 RIVAL_ANGLE = math.radians(6.0)  # Radians from the best direction beyond which another one is a rival
 
 # Votes of the strongest rival over those of the best, up to which it is certain. Of 180 generated panoramas all ten
 # that were wrong by more than 1° had 0.86 or more.
 MAX_RIVAL_SHARE = 0.8
-
 MIN_LINES = 8  # Lines that have to agree at least
 
 # Rotations of the six tangent images, which look along −z of their own.
@@ -173,10 +169,8 @@ MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 MAX_RIVAL_LOG_FALSE_ALARMS = -40.0
 # Directions to the other side that two matches each propose, and how many of the best are counted exactly.
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
-
 LIKENESS_FEATURES = 600  # Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take
-SMALL_ROWS = 256  # Rows of the picture in colour that floors are looked for in
-
+SMALL_SIZE = (256, 512)  # Of the picture in colour that floors are looked for in
 
 # Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they do
 # not meet if no neighbours differ more. (Of 445 panoramas none is above, of parts of them two thirds.)
@@ -190,7 +184,7 @@ class Scan:
     """One panorama as registration sees it."""
 
     fine_grey: UInt8[np.ndarray, "height width"]  # luma for :attr:`levelled`
-    small: Float[np.ndarray, "rows cols 3"]  # the picture in colour at :data:`SMALL_ROWS`
+    small: Float[np.ndarray, "rows cols 3"]  # the picture in colour at :data:`SMALL_SIZE`
     usable: Bool[np.ndarray, "all_rows all_cols"] | None  # where it may be used; None is everywhere
     features: Features  # the strongest features
     lines: Lines  # straight lines
@@ -206,8 +200,8 @@ class Scan:
         """Whether the last column continues with the first one, as in panoramas; also if not both may be used."""
         if self.usable is not None and not self.usable[:, [0, -1]].any(axis=0).all():
             return True
-        polar = round(POLAR_SHARE * SMALL_ROWS)
-        picture = self.small[polar : SMALL_ROWS - polar]
+        polar = round(POLAR_SHARE * len(self.small))
+        picture = self.small[polar:-polar]
         seam = float(np.abs(picture[:, 0] - picture[:, -1]).mean())
         steps = np.abs(np.diff(picture, axis=1)).mean(axis=(0, 2))
         return seam < max(MIN_SEAM_STEP, MIN_SEAM_RATIO * float(steps.mean()), float(steps.max()))
@@ -234,8 +228,7 @@ def scan_panorama(
     threads: int | None = None,
 ) -> Scan:
     """Look for features and lines in a panorama, RGB in [0, 1]."""
-    grey = grey_of(image)
-    small = cv2.resize(np.asarray(image, np.float32), (2 * SMALL_ROWS, SMALL_ROWS), interpolation=cv2.INTER_AREA)
+    grey, small = grey_of(image), resize_area(image, SMALL_SIZE)
     return Scan(
         fine_grey_of(image), small, usable, find_grey_features(grey, usable, threads), find_lines(grey, usable), threads
     )
@@ -253,10 +246,7 @@ def likeness(first: Scan, second: Scan) -> int:
 
 
 def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
-    """The relative pose of two panoramas, and the matches that it was found from.
-
-    Where few matches agree, walls and floors are compared as well.
-    """
+    """The relative pose of two panoramas, and its matches: also of walls and floors where few others agree."""
     verticals = Verticals(first.zenith, second.zenith, first.vertical.is_certain and second.vertical.is_certain)
     matches = match_features(first.features, second.features)
     estimate = estimate_relative_pose(matches, verticals=verticals)
