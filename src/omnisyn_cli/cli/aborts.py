@@ -47,8 +47,7 @@ other:
 }}
 """
 
-_kept: list[Any] = []
-"""The text and the machine code, which must not be collected."""
+_kept: list[Any] = []  # the text and the machine code, which must not be collected
 
 
 def explain_memory_aborts() -> None:

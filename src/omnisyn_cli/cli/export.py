@@ -39,10 +39,9 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="Maximum width of the textures in a GLB, and of panoramas in a site.",
 )  # fmt: skip
 @click.option(
-    "--stride",
-    type=WholeRange(1),
+    "--stride", type=WholeRange(1),
     help="Distance of points or discs in pixels of the depth.  [default: 1; 4 in data sets]",
-)
+)  # fmt: skip
 @click.option(
     "--sky/--no-sky", default=None, help="Put the sky on the dome.  [default: sky for glb and splats, else no-sky]"
 )

@@ -131,11 +131,9 @@ if TYPE_CHECKING:
 )
 @click.option("--save-depth", metavar="FOLDER", type=FilePath(), help="Save the depth of every panorama (EXR, metres).")
 @click.option(
-    "--save-frames",
-    metavar="FOLDER",
-    type=FramePlace(),
+    "--save-frames", metavar="FOLDER", type=FramePlace(),
     help="Save the frames as images too: PNG, or a pattern such as DIR/%05d.jpg.",
-)
+)  # fmt: skip
 @click.option(
     "--view", "views", metavar="flat|FILE", multiple=True, type=FilePath(),
     help="flat: an ordinary video instead of a 360° one. FILE (.html): also write a page to walk in, see `omnisyn "
@@ -158,10 +156,7 @@ if TYPE_CHECKING:
 @size_options
 @outside_option
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
-@click.option(
-    "--dry-run", is_flag=True,
-    help="Print the plan and the expected time, and make nothing.",
-)  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Print the plan and the expected time, and make nothing.")
 @json_option("the summary")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage, and mesh statistics.")
 @quiet_option

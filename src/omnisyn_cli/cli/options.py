@@ -65,7 +65,7 @@ masks_option = click.option(
     help="Image, black where a panorama must not be used; one per panorama.",
 )  # fmt: skip
 
-blur_options = all_of(
+blur_options = all_of(  # who is made unrecognizable; the files of the panoramas stay
     click.option(
         "--blur", metavar="FILE|auto-faces", multiple=True, type=FilePath(),
         help="Image, black where a panorama is blurred for good; one per panorama. auto-faces: all faces.",
@@ -76,7 +76,6 @@ blur_options = all_of(
         "[default: OMNISYN_FACE_MODEL in the environment]",
     ),
 )  # fmt: skip
-"""Who is made unrecognizable; the files of the panoramas stay."""
 
 nadir_option = click.option(
     "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
@@ -84,7 +83,7 @@ nadir_option = click.option(
 )  # fmt: skip
 
 
-scale_options = all_of(
+scale_options = all_of(  # what poses that are found in the pictures get their metres from
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
         help="Mean distance between neighbours, for estimated poses.  [default: 1]",
@@ -94,8 +93,8 @@ scale_options = all_of(
         help="Camera height above the floor, for estimated poses, instead of --baseline.",
     ),
 )  # fmt: skip
-"""What poses that are found in the pictures get their metres from."""
 
+# Which panoramas, in walking order, and where they were taken; :func:`named` says what is meant.
 tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
@@ -106,9 +105,8 @@ tour_options = all_of(
     scale_options,
     click.option("--refine", is_flag=True, help="Correct the poses where the pictures allow it."),
 )  # fmt: skip
-"""Which panoramas, in walking order, and where they were taken; :func:`named` says what is meant."""
 
-depth_options = all_of(
+depth_options = all_of(  # where depth comes from
     click.option(
         "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto",
         help=f"Source of depth. {listed(DEPTH_SOURCES)}; auto: files if every panorama has one, else the preset's.",
@@ -126,9 +124,8 @@ depth_options = all_of(
         help="What its file does not say, such as perspective,inverse-depth.",
     ),
 )  # fmt: skip
-"""Where depth comes from."""
 
-cut_options = all_of(
+cut_options = all_of(  # where surfaces are cut; one of them
     click.option(
         "--cut", type=FiniteRange(0, 1, min_open=True),
         help="Cut the mesh where inverse depth changes by more than this share between pixels.  [default: 0.05; "
@@ -139,9 +136,8 @@ cut_options = all_of(
         help="Cut at depth steps of this size instead, as the paper does.  [default: 2 for paper]",
     ),
 )  # fmt: skip
-"""Where surfaces are cut; one of them."""
 
-part_options = all_of(
+part_options = all_of(  # what of the sphere parts of it show, where their tags do not say it
     click.option(
         "--hfov", metavar="DEGREES", type=DegreeRange(0, 360, min_open=True),
         help="Horizontal angle of panoramas that are only part of the sphere, unless tags give it.",
@@ -155,17 +151,15 @@ part_options = all_of(
         help="Height of their horizon, from 0 (top) to 1 (bottom).",
     ),
 )  # fmt: skip
-"""What of the sphere parts of it show, where their tags do not say it."""
 
-reading_options = all_of(
+reading_options = all_of(  # what of the sphere pictures show, where their files do not say it
     click.option(
         "--upper-half", is_flag=True, help="Use the upper half of every panorama: one eye of top-bottom stereo."
     ),
     part_options,
 )
-"""What of the sphere pictures show, where their files do not say it."""
 
-picture_options = all_of(
+picture_options = all_of(  # how pictures are read whose poses are found or checked
     masks_option,
     click.option(
         "--nadir", metavar="DEGREES", type=DegreeRange(0, 90, max_open=True), default=0.0, show_default=False,
@@ -175,9 +169,8 @@ picture_options = all_of(
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
     reading_options,
 )  # fmt: skip
-"""How pictures are read whose poses are found or checked."""
 
-size_options = all_of(
+size_options = all_of(  # what of unusual panoramas is accepted
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
     reading_options,
     click.option(
@@ -189,7 +182,6 @@ size_options = all_of(
         help="Refuse panoramas, masks and depth files with more pixels, before decoding.",
     ),
 )  # fmt: skip
-"""What of unusual panoramas is accepted."""
 
 preset_option = click.option(
     "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=False,
@@ -198,14 +190,13 @@ preset_option = click.option(
 )  # fmt: skip
 
 
-surface_options = all_of(
+surface_options = all_of(  # how the surfaces of panoramas are found, for what is made of surfaces instead of frames
     preset_option, depth_options, cut_options, masks_option, blur_options, nadir_option,
     device_option("Where networks run; auto uses a GPU if ONNX Runtime has one."), threads_option, size_options,
     outside_option,
 )  # fmt: skip
-"""How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""
 
-output_options = all_of(
+output_options = all_of(  # what becomes of an old output, and what is said of the new one
     click.option(
         "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, the files of the old output."
     ),
@@ -213,7 +204,6 @@ output_options = all_of(
     json_option("the summary"),
     quiet_option,
 )
-"""What becomes of an old output, and what is said of the new one."""
 
 
 def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, Any]:

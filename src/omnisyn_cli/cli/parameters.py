@@ -1,7 +1,5 @@
 """What options take: numbers that are finite and within their range, names of files, sizes."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

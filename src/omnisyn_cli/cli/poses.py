@@ -172,11 +172,7 @@ def check(images: tuple[Path, ...], poses: Path | None, allow_outside: bool, as_
     """
     from omnisyn_cli.poses.estimation import check_poses
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.poses.registration.diagnosis import (
-        camera_height_sentence,
-        diagnosis_sentences,
-        diagnosis_values,
-    )
+    from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, diagnosis_sentences, diagnosis_values
 
     does_fit, values = True, []
     pose_file = read_poses(poses or _poses_beside(images), allow_outside=allow_outside)

@@ -105,9 +105,7 @@ STAGES: Mapping[str, str] = {
 }
 UNCOUNTED_STAGES = ("poses", "reading")  # stages that are over when the next one begins
 # The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to.
-STAGE_OF_CLOCK: Mapping[str, str] = {
-    "decode": "reading", "depth": "depth", "pack": "writing", "write": "writing",
-}  # fmt: skip
+STAGE_OF_CLOCK: Mapping[str, str] = {"decode": "reading", "depth": "depth", "pack": "writing", "write": "writing"}
 
 
 class Stages:
@@ -216,10 +214,7 @@ def memory_notes(expected: float) -> Iterator[str]:
 
 
 def memory_limit() -> int | None:
-    """The least of what there is, what its container may have, and what its user's limits allow, in bytes.
-
-    None where nobody says.
-    """
+    """The least of the memory, its container's limit and its user's limits, in bytes; None where nobody says."""
     limits = []
     with suppress(ImportError, OSError):
         import resource

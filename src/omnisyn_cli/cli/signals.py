@@ -20,13 +20,12 @@ HAS_ALARM = hasattr(signal, "setitimer")
 SIGNAL_RETRY_SECONDS = 0.02  # seconds until it is looked again whether an exception may be raised
 SIGNAL_PATIENCE_SECONDS = 10.0  # seconds after which it is raised wherever the program is: something hangs
 
+# Where an exception is lost, leaves a lock taken or gives it back twice, or breaks off what tidies up or publishes.
 FRAGILE_MODULES = {
     "_weakrefset", "concurrent.futures._base", "concurrent.futures.process", "concurrent.futures.thread", "contextlib",
     "llvmlite.binding.executionengine", "threading", "weakref",
 }  # fmt: skip
 FRAGILE_FUNCTIONS = {"__del__", "__enter__", "__exit__"}
-"""Where an exception is lost, leaves a lock taken or gives it back twice, or breaks off what tidies up or publishes."""
-
 # Functions of fragile modules that may wait for ever and, while they do, bear an exception.
 WAITING_FUNCTIONS = {"as_completed", "result", "wait"}
 # Of contextlib: calls a function that is decorated with a context, which may be the whole work.

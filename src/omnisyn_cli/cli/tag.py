@@ -1,7 +1,5 @@
 """``omnisyn tag``: 360° metadata for videos and pictures that have lost it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

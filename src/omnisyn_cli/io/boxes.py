@@ -6,8 +6,6 @@ an InputError says what does not hold together.
 Source: ISO/IEC 14496-12 (ISO base media file format), sections 4.2, 8.5.2 (``stsd``) and 8.7.5 (``stco``, ``co64``).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -41,7 +39,7 @@ class Box:
 
     kind: bytes  # four characters
     head: bytes  # content before the children; all of it in a box without any
-    children: tuple[Box, ...] | None = None  # boxes inside, None where this box was not opened
+    children: tuple["Box", ...] | None = None  # boxes inside, None where this box was not opened
     tail: bytes = b""  # bytes after the last child (QuickTime ends some lists with four zeros)
 
 

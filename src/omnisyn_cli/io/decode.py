@@ -98,10 +98,7 @@ class ImageHeader:
         return value if math.isfinite(value) else None
 
     def degrees(self, name: str, negative: str) -> float | None:
-        """An EXIF angle of degrees, minutes and seconds, below zero where its ``Ref`` is ``negative``; None if missing.
-
-        Source: Exif 2.32, section 4.6.6.
-        """
+        """An EXIF angle (Exif 2.32, 4.6.6), below zero where its ``Ref`` is ``negative``; None if missing."""
         try:
             degrees, minutes, seconds = (float(part) for part in self.attributes[name])
         except (KeyError, TypeError, ValueError):
@@ -112,10 +109,7 @@ class ImageHeader:
 
 
 def read_header(path: Path | str) -> ImageHeader:
-    """Header of an image file, without decoding pixels (but of WebP, whose reader knows no other way).
-
-    ImageError: missing, empty, or not an image.
-    """
+    """Header of an image file, without decoding pixels (but of WebP). ImageError: missing, empty, or not an image."""
     with _opened(Path(path)) as (header, _):
         return header
 

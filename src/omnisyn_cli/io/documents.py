@@ -198,10 +198,7 @@ def append_line(path: Path, value: Any) -> None:
 
 
 def complete_lines(path: Path) -> list[str]:
-    """All lines but what a killed run left of one; none where there is no such file.
-
-    InputError: the file cannot be read.
-    """
+    """All lines but what a killed run left of one; none without a file. InputError: the file cannot be read."""
     if not path.exists():
         return []
     try:

@@ -297,10 +297,7 @@ MAX_PHOTOGRAPHS = 2000  # photographs in a folder: four gigabytes at most, much 
 
 
 def list_photographs(folder: Path) -> list[Path]:
-    """All photographs in a folder and below, in an order that depends on their names alone.
-
-    InputError: there is no such folder, or no photograph in it, or too many.
-    """
+    """All photographs in a folder and below, ordered by their names. InputError: no folder, no photograph, too many."""
     if not folder.is_dir():
         raise InputError(f"expected a folder of photographs at {folder}, found none; check the name")
     paths = [path for path in folder.rglob("*") if path.suffix.lower() in PHOTOGRAPH_SUFFIXES and path.is_file()]
@@ -321,10 +318,7 @@ def read_photographs(folder: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
 
 
 def read_picture(path: Path, longest_side: int) -> UInt8[np.ndarray, "height width 3"]:
-    """An ordinary picture, upright, sRGB, its longer side at most so many pixels; alpha is ignored.
-
-    ImageError: missing, or not an image.
-    """
+    """An ordinary picture, upright, sRGB, without alpha, its longer side at most this long. ImageError: no image."""
     header, samples = decode_image(path)
     colour, _ = colour_and_alpha(header, upright(samples, header.orientation))
     image = np.clip(unit_range(colour, path), 0.0, 1.0)

@@ -226,10 +226,7 @@ TYPES = {"<f4": "float", "|u1": "uchar"}  # PLY's names of numpy's types
 
 
 def write_ply(path: Path, vertices: np.ndarray, comments: Sequence[str] = ()) -> None:
-    """Write records (fields ``<f4`` and ``u1``) as the vertices of a PLY file; an existing file is replaced.
-
-    WriteError: the disk is full, or the folder went away.
-    """
+    """Write records (fields ``<f4`` and ``u1``) as the vertices of a PLY file, as :func:`write_parts` does."""
     names = vertices.dtype.names or ()
     properties = [f"property {TYPES[vertices.dtype[name].str]} {name}" for name in names]
     head = [

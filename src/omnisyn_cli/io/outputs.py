@@ -46,11 +46,7 @@ def make_folder(folder: Path, what: str) -> None:
 
 
 def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders: bool = False) -> None:
-    """Refuse outputs that would overwrite what they are made of.
-
-    With ``whole_folders`` outputs that are folders are replaced with everything in them, not added to.
-    OutputPathError: one would.
-    """
+    """Refuse (OutputPathError) to overwrite inputs; ``whole_folders`` are replaced with everything in them."""
     replaced = set(map(real_path, outputs))
     for path in inputs:
         source = real_path(path)
@@ -59,10 +55,7 @@ def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders
 
 
 def check_output(path: Path | str, overwrite: bool = False) -> None:
-    """Refuse a file that could not be written, before any work is done for it.
-
-    OutputPathError: it exists and ``overwrite`` is off, it is a folder, or its folder is missing or read-only.
-    """
+    """Refuse (OutputPathError) a file that could not be written: it exists, is a folder, or its folder is unusable."""
     target = Path(path)
     check_name(target)
     check_folder(target.parent)
@@ -133,10 +126,7 @@ def replaced_when_complete(path: Path) -> Iterator[Path]:
 
 
 def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
-    """Write a file of parts, one after the other; it appears whole or not at all, in place of one of its name.
-
-    WriteError: the disk is full, or the folder went away.
-    """
+    """Write a file of parts, in place of one of its name; it appears whole, or not at all (WriteError)."""
     with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
         for part in parts:
             file.write(part)

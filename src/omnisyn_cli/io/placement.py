@@ -124,16 +124,12 @@ def area_tags(placement: Placement) -> dict[str, str]:
 
 
 def _google_placement(header: ImageHeader, height: int, width: int) -> Placement | None:
-    """Placement by GPano tags, or None where they do not speak of a crop.
-
-    A picture that was scaled after stitching keeps the tags of its former size, so they are read as proportions.
-
-    Source: Google, "Photo Sphere XMP Metadata".
-    """
+    """Placement by GPano tags (Google, "Photo Sphere XMP Metadata"); None where they do not speak of a crop."""
     crop = _tagged_crop(header, height, width)
     if crop is None:
         return None
     crop_height, crop_width, top, left, full_height, full_width = crop
+    # A picture that was scaled after stitching keeps the tags of its former size: they are proportions.
     across, down = width / crop_width, height / crop_height
     is_even = abs(across - down) <= 1 / crop_width + 1 / crop_height
     if is_even and full_width == 2 * full_height:
@@ -164,12 +160,9 @@ def _tagged_crop(header: ImageHeader, height: int, width: int) -> Crop | None:
 
 
 def _evenly_scaled(crop: Crop, height: int, width: int) -> Placement:
-    """A crop of a 2:1 sphere, scaled by one factor to ``height × width``, in a sphere that is 2:1 again.
-
-    Whoever scaled it rounded height and width, each on its own. The sphere is the one that explains both best (least
-    squares) and holds them; the picture's centre lies where that of the tagged rectangle does.
-    """
+    """A crop of a 2:1 sphere, scaled by one factor to ``height × width``, in a sphere that is 2:1 again."""
     crop_height, crop_width, crop_top, crop_left, crop_full_height, _ = crop
+    # Height and width were rounded each on its own: the sphere explains both best (least squares), and holds them.
     factor = (height * crop_height + width * crop_width) / (crop_height**2 + crop_width**2)
     full_height = max(round(crop_full_height * factor), height, (width + 1) // 2)
     scale = full_height / crop_full_height

@@ -25,8 +25,7 @@ GENERAL_REMEDY = (
     "say what it covers (--hfov)"
 )
 
-Picture = Shaped[np.ndarray, "height width channels"]
-"""Samples of any type."""
+Picture = Shaped[np.ndarray, "height width channels"]  # samples of any type
 
 CUBE = ": six faces of a cube{}; convert it to equirectangular first{}"
 

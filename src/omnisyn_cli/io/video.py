@@ -3,8 +3,6 @@
 They may be filled from a thread of its own, so that rendering goes on while frames are encoded.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -154,10 +152,7 @@ def _encoded(
 
 
 def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
-    """Return the image sequence that a path means, or None for a video file.
-
-    A name that may be a slip of the pen is that of a video, unless images are asked for.
-    """
+    """The images that a path means, or None for a video: a doubtful name means one unless images are asked for."""
     if codec not in IMAGE_CODECS and is_ambiguous(path):
         return None
     if not is_sequence(path):
@@ -228,7 +223,7 @@ class BackgroundSink:
         while self._pending:
             self._pending.popleft().result()
 
-    def __enter__(self) -> BackgroundSink:
+    def __enter__(self) -> "BackgroundSink":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -19,9 +19,8 @@ MIN_EDGE_DISTANCE_RATIO = 0.5
 # Wide quads inside a spherical cap of at most this radius get a tight box after all. Set by hand, below π/2.
 MAX_CAP_RADIANS = 1.4
 
+# Rows of a block, the scratch array of 64 quads: points in the frame of the target, and the pixels they project to.
 X, Y, Z, INVERSE_DEPTH, ROW, COL = range(6)
-"""Rows of a block, the scratch array of 64 quads: points in the frame of the target, and the pixels they project to."""
-
 # Rows with the boxes of the quads. Columns may lie outside the image: then they wrap.
 FIRST_ROW, LAST_ROW, FIRST_COL, LAST_COL = range(6, 10)
 FIRST_FREE_ROW = 10  # the first row for others

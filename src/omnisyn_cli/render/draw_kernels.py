@@ -213,11 +213,10 @@ def _clip_row_spans(edge, rows, first, count, middle, left, right):
 
 @subkernel()
 def _find_spans(block, k, rows, first, count, middle, half, spans):
-    """First and last azimuth of ``count`` rows from ``first`` on at which quad ``k`` of a block may be seen.
+    """First and last azimuth, relative to ``middle``, of ``count`` rows from ``first`` on at which a quad may be seen.
 
-    They are relative to ``middle``; ``half`` is that of the box's width, in radians. ``rows`` are sines and cosines of
-    the polar angles of the target. ``spans`` ``(4, rows)`` are written: [0, 1] of both triangles together; [2, 3]
-    scratch.
+    ``half``: of the box's width, in radians. ``rows``: sines and cosines of the polar angles of the target. ``spans``
+    ``(4, rows)``: [0, 1] are written, of both triangles together; [2, 3] are scratch.
     """
     one, other = np.float32(1.0), np.float32(-1.0)
     for i in range(count):

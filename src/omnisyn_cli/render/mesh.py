@@ -13,8 +13,6 @@ Faces are numbered ``8·quad + k``: a whole quad has k = 0, 1; a cut quad has tw
 k = 2·corner + {0, 1}. The caps follow: ``8·quads + 2·(width·cap + col)``, the north (cap 0) first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -193,7 +191,7 @@ class Mesh:
         return np.where(drawn < 0, drawn, 2 * np.where(place < rows * across, whole, piece) + (drawn & 1))
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> "Surface":
         """The drawn quads and their points as index lists."""
         whole = np.flatnonzero(self.is_whole)
         corner = self.vertices_of(whole)
@@ -210,7 +208,7 @@ class Mesh:
             corner[order], number[order],
         )  # fmt: skip
 
-    def triangles(self) -> Triangles:
+    def triangles(self) -> "Triangles":
         """Every face as an explicit triangle in the panorama's frame, for the reference rasteriser and for export."""
         surface = self.surface
         face = (2 * surface.number[:, None] + [0, 1]).ravel()

@@ -16,8 +16,7 @@ CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
 DIAGONAL = 16  # flag of a quad that is split from bottom left to top right; without it, from top left to bottom right
 HOLE_FLAG = 32  # flag of a quad that is not drawn
 FACES_PER_QUAD = 8
-FACES_PER_QUARTER = 2
-"""Triangles, at most: two in each of the four quarters of a quad with cut edges."""
+FACES_PER_QUARTER = 2  # triangles, at most: two in each of the four quarters of a quad with cut edges
 
 BLOCK = 64  # quads that are set up together, and culled together by their range of target pixels. Set by hand.
 _CLOCKWISE_CORNERS = (0, 1, 3, 2)  # the corners of a quad; the edge after the k-th of them is bit k of its flags
@@ -49,13 +48,10 @@ def _quarter_weights() -> tuple[np.ndarray, np.ndarray]:
     return directions, inverse_depths
 
 
+# Weights of the corners of a cut quad in the points of its quarters: ``(quarter, point, corner)`` for directions,
+# ``(cut edges, quarter, point, corner)`` for inverse depths. A quarter is itself a quad, split from its first to its
+# fourth point: its own corner, the middles of the edges after and before it (clockwise), and the middle of the quad.
 QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS = _quarter_weights()
-"""Weights of the corners of a cut quad in the points of its quarters.
-
-``(quarter, point, corner)`` for directions, ``(cut edges, quarter, point, corner)`` for inverse depths. A quarter is
-itself a quad, split from its first to its fourth point: its own corner, the middles of the edges after and before it
-(clockwise), and the middle of the quad.
-"""
 
 
 class QuadBlocks(NamedTuple):

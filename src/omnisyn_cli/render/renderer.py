@@ -20,27 +20,17 @@ from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
 
 @dataclass(frozen=True)
 class RendererInputs:
-    """A panorama with its depth, and what it is drawn for.
+    """A panorama with its depth, and what it is drawn for."""
 
-    Attributes:
-        image: RGB in [0, 1], or samples of 8 bits, at the resolution of the photograph; it becomes the texture.
-        mask: of the image's size, False where it shows nothing usable.
-        inverse_depth: 1/metre, finite and >= 0, at a resolution of its own: that of the mesh.
-        confidence: in [0, 1], of the inverse depths' size; None is 1 everywhere.
-        size: height and width of the targets.
-        cut: where surfaces are separated.
-        threads: at most this many; None is one per core.
-        way: metres in the panorama's frame: all targets lie between the panorama and this point, so that flat surfaces
-            may be drawn with fewer triangles. None lets targets lie anywhere.
-    """
-
-    image: Shaped[np.ndarray, "height width 3"]
-    mask: Bool[np.ndarray, "height width"] | None
-    inverse_depth: Float[np.ndarray, "rows cols"]
-    confidence: Float[np.ndarray, "rows cols"] | None
-    size: tuple[int, int]
-    cut: Cut | None = None
-    threads: int | None = None
+    image: Shaped[np.ndarray, "height width 3"]  # the photograph, RGB in [0, 1] or 8 bits; it becomes the texture
+    mask: Bool[np.ndarray, "height width"] | None  # False where the image shows nothing usable
+    inverse_depth: Float[np.ndarray, "rows cols"]  # 1/metre, finite and >= 0; its resolution is that of the mesh
+    confidence: Float[np.ndarray, "rows cols"] | None  # of the inverse depths, in [0, 1]; None is 1 everywhere
+    size: tuple[int, int]  # height and width of the targets
+    cut: Cut | None = None  # where surfaces are separated
+    threads: int | None = None  # at most this many; None is one per core
+    # metres in the panorama's frame: all targets lie between the panorama and this point, so that flat surfaces may be
+    # drawn with fewer triangles; None lets targets lie anywhere
     path_end: Float[np.ndarray, " 3"] | None = None
 
     def mesh(self) -> Mesh:
@@ -75,11 +65,7 @@ def _rasterizer(size: tuple[int, int], threads: int | None) -> Rasterizer | Pers
 
 
 class MeshRenderer:
-    """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture.
-
-    Attributes:
-        triangles: how many are drawn for a frame, and how many the mesh has.
-    """
+    """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture."""
 
     shades_on_demand: ClassVar[bool] = True
 
@@ -91,7 +77,8 @@ class MeshRenderer:
         self._quads, drawn = mesh.blocks, every
         if inputs.path_end is not None:
             self._quads, drawn = simplify(mesh, inputs.path_end, equivalent_rows(size), threads=threads)
-        self.triangles, self._rasterizer = (drawn, every), _rasterizer(size, threads)
+        self.triangles = drawn, every  # drawn for a frame, and of the mesh
+        self._rasterizer = _rasterizer(size, threads)
         self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
 
     def __call__(self, target_from_source: Pose) -> Layer:

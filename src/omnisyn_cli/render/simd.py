@@ -95,11 +95,7 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
 
 
 class _WholeStore(instructions.StoreInstr):  # type: ignore[misc]
-    """A store that stays one.
-
-    LLVM makes a masked store of "load, choose, store", which costs some processors forty times as much, unless the
-    store is volatile.
-    """
+    """A volatile store, which LLVM leaves whole: a masked one costs some processors forty times as much."""
 
     def descr(self, buffer: list[str]) -> None:
         text: list[str] = []

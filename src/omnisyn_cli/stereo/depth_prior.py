@@ -3,8 +3,6 @@
 Depths within a tolerance cost nothing, so that matching alone decides between them; others cost more.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import NamedTuple
 
@@ -35,11 +33,11 @@ class DepthPrior(NamedTuple):
     tolerance: Float32[np.ndarray, "height width"]
     confidence: Float32[np.ndarray, "height width"]
 
-    def remapped(self, table: RemapTable) -> DepthPrior:
+    def remapped(self, table: RemapTable) -> "DepthPrior":
         """In another frame."""
         return DepthPrior(*(table.bilinear(each) for each in self))
 
-    def in_rows(self, grid: EpipolarGrid) -> DisparityPrior:
+    def in_rows(self, grid: EpipolarGrid) -> "DisparityPrior":
         """In rows of disparity, for maps in the frame of a pair."""
         ramp = RAMP_SHARE * np.maximum(self.sqrt_inv_depth, MIN_SQRT_INV_DEPTH)
         far, near = self.sqrt_inv_depth - self.tolerance, self.sqrt_inv_depth + self.tolerance

@@ -1,7 +1,5 @@
 """Disparity maps of a rectified pair: semi-global matching in either direction, and the left-right check of both."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,11 +27,9 @@ DISPARITY_BOUND_SLACK_ROWS = 1.5
 # chosen by eye.
 GROUND_BOUND_MIN_SINE = 0.17
 
+# Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
+# (With more, noise confirms itself: the shadow of a lamp on an untextured road fell to pieces.)
 MAX_INTERPOLATED_STEP = 2.0
-"""Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
-
-(With more, noise confirms itself: the shadow of a lamp on an untextured road fell to pieces.)
-"""
 
 # Degrees from an epipole: within the first nothing is measurable; within the second near things hardly move either, so
 # no parallax does not mean infinity. Chosen by eye.

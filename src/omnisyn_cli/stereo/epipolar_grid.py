@@ -1,7 +1,5 @@
 """The pixels of a rectified image, and its two units: rows of disparity, and inverse depth in 1/baselines."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -63,11 +63,9 @@ class PriorModel(Protocol):
         """
 
 
-Matches = tuple[DisparityMap, DisparityMap]
-"""What was matched in both directions of a pair."""
-
+Matches = tuple[DisparityMap, DisparityMap]  # what was matched in both directions of a pair
+# Returns a pair with what is expected of both panoramas, given their views and matches: :func:`with_guided_priors`.
 PairPrior = Callable[[RectifiedPair, View, View, Matches], RectifiedPair]
-"""Returns a pair with what is expected of both panoramas, given their views and matches: :func:`with_guided_priors`."""
 
 
 def with_guided_priors(

@@ -104,10 +104,7 @@ def _fit_around_pixels(
 
 
 def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], radius_rad: float) -> np.ndarray:
-    """Domain transform filter of every channel over about ``radius_rad`` radians, in place.
-
-    Distances are those on the sphere: pixels of a row come closer towards the poles.
-    """
+    """Domain transform filter of every channel over about ``radius_rad`` radians on the sphere, in place."""
     height, width = channels.shape[:2]
     sine = direction_tables(height, width)[0]
     distance_across = sine[:, None] * (2.0 * math.pi / width) / radius_rad + COLOUR_EDGE_STRENGTH * edges[0]

@@ -85,15 +85,10 @@ class MonocularAnswer:
 
 
 class PictureNetwork(Protocol):
-    """A network that says something about the depth of one picture, however it is run.
+    """A network that says something about the depth of one picture, however it is run."""
 
-    Attributes:
-        size: height and width of its pictures.
-        is_panoramic: whether they are panoramas; else they are perspective ones.
-    """
-
-    size: tuple[int, int]
-    is_panoramic: bool
+    size: tuple[int, int]  # height and width of its pictures
+    is_panoramic: bool  # whether they are panoramas; else they are perspective ones
 
     def __call__(self, picture: Float32[np.ndarray, "3 height width"]) -> tuple[np.ndarray, tuple[str, ...], bool]:
         """Its numbers ``(rows, cols)``, the readings that they may have, and whether they are distances along rays."""

@@ -107,10 +107,7 @@ def align(
 ) -> Alignment | None:
     """Reading, scales and shifts with which an answer agrees best with matches; None if there are too few.
 
-    Args:
-        answer: of the network.
-        measured: logarithms of inverse depth, in the orientation of the world.
-        known: where these were matched.
+    ``measured`` are logarithms of inverse depth in the orientation of the world, matched where they are ``known``.
     """
     known = known & (measured > np.log(MIN_INVERSE_DEPTH))
     if known.sum() < MIN_MATCHES:

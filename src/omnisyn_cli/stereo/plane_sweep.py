@@ -9,8 +9,6 @@ Each is then measured: its pixels are matched a row to either side, and a plane 
 Source: Gallup et al., Real-time plane-sweeping stereo with multiple sweeping directions, CVPR 2007.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -245,7 +243,7 @@ class AxisSweep:
     scores: UInt8[np.ndarray, "2 distances pixels"]
 
     @staticmethod
-    def of(directions: Directions, axis: Float[np.ndarray, " 3"]) -> AxisSweep:
+    def of(directions: Directions, axis: Float[np.ndarray, " 3"]) -> "AxisSweep":
         """The sweep of both images along an axis."""
         distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
 
@@ -366,10 +364,7 @@ def significant_support(
 
 
 def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
-    """The ground where it slopes too much to be a peak of level planes: fitted to the best level plane of each pixel.
-
-    It counts by the rule for peaks.
-    """
+    """Ground that slopes too much to be a peak of level planes, fitted to the best level plane of each pixel."""
     up = sweep.axis
     points = sweep.winning_points(0), sweep.winning_points(1)
     median = np.median(sweep.support(0), axis=1)

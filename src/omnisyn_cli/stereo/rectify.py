@@ -3,8 +3,6 @@
 Everything in this frame is dimensionless: distances count in baselines, so inverse depth is ``ρ · baseline``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -64,7 +62,7 @@ class RectifiedPair:
         """What disparities of the first image cost beside what is matched."""
         return None if self.priors is None else self.priors[0].in_rows(self.grid)
 
-    def reversed(self) -> RectifiedPair:
+    def reversed(self) -> "RectifiedPair":
         """The same pair seen from the second panorama."""
         return RectifiedPair(
             first=swap_cameras_in_epipole_frame(self.second),
@@ -76,7 +74,7 @@ class RectifiedPair:
             priors=None if self.priors is None else self.priors[::-1],
         )
 
-    def resized(self, size: tuple[int, int]) -> RectifiedPair:
+    def resized(self, size: tuple[int, int]) -> "RectifiedPair":
         """The same pair, reduced to ``size = (height, width)``."""
         if size == self.size:
             return self

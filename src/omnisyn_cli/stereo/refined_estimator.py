@@ -126,10 +126,7 @@ def _smooth_invalid_pixels(
 def refine_depth_at_size(
     views: ViewPair, maps: InvDepthPair, size: tuple[int, int], options: MatchingOptions
 ) -> InvDepthPair:
-    """Inverse depth and confidence of both panoramas, from two different positions, measured again at a larger size.
-
-    The maps at a smaller size are each in the frame of its own camera.
-    """
+    """Maps of both panoramas, from two positions and each in its camera's frame, measured again at a larger size."""
     coarse = both(*(partial(_upsample_map, view, each, size) for view, each in zip(views, maps, strict=True)))
     pair = rectify(*views, size)
     pairs = (pair, pair.reversed())
@@ -172,10 +169,7 @@ def _ranges_around(disparity: Float32[np.ndarray, "height width"]) -> DisparityR
 def _replace_remeasured(
     view: View, coarse: InvDepthWithConfidence, pair: RectifiedPair, disparities: DisparityMap
 ) -> InvDepthWithConfidence:
-    """The coarse map with every valid new match that lies on a surface known around there.
-
-    Single pixels are noise more often than things, so a median filter follows.
-    """
+    """The coarse map with every valid new match on a surface known around there; a median removes single pixels."""
     size, grid, (coarse_depth, coarse_confidence) = pair.size, pair.grid, coarse
     in_pair = pair.remap_to(view.pose.rotation, size)
     exact = in_pair.nearest(grid.inverse_depth(disparities.disparity).astype(np.float32))

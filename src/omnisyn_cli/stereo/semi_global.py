@@ -11,8 +11,6 @@ Source: Hirschmüller, Stereo processing by semi-global matching and mutual info
 Rothermel et al., SURE: photogrammetric surface reconstruction from imagery, 2012 (tSGM).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -55,7 +53,7 @@ class DisparityRange:
     @staticmethod
     def from_bounds(
         lowest: Int32[np.ndarray, "height width"], highest: Int32[np.ndarray, "height width"] | int
-    ) -> DisparityRange:
+    ) -> "DisparityRange":
         """All whole rows from ``lowest`` to ``highest`` (included), which is never the smaller one."""
         offsets = np.zeros(lowest.size + 1, np.int64)
         np.cumsum((highest - lowest + 1).ravel(), out=offsets[1:])

@@ -17,10 +17,8 @@ from omnisyn_cli.geometry.sweep import reproject_to_second
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 from omnisyn_cli.stereo.depth_prior import DepthPrior
 
+# Inverse depth in 1/baselines, and confidence in [0, 1].
 InvDepthWithConfidence = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
-"""Inverse depth in 1/baselines, and confidence in [0, 1]."""
-
-
 COMPLETION_CHANNEL_COUNT = 19  # channels of :func:`completion_channels`
 
 

@@ -6,8 +6,6 @@ match at all.
 Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-based rendering, 2009.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -52,7 +50,7 @@ class CandidatePlanes(NamedTuple):
     normals: Float[np.ndarray, "planes 3"]
     is_measured: Bool[np.ndarray, " planes"]
 
-    def seen_by_second(self) -> CandidatePlanes:
+    def seen_by_second(self) -> "CandidatePlanes":
         """Those that the second camera sees, in the frame of the reversed pair."""
         normals = planes_from_second(self.normals)
         is_seen = np.isfinite(normals).all(axis=-1)
@@ -148,7 +146,7 @@ class PlaneSupport(NamedTuple):
     texture: Float32[np.ndarray, "height width"]
 
     @staticmethod
-    def of(pair: RectifiedPair, matches: DisparityMap) -> PlaneSupport:
+    def of(pair: RectifiedPair, matches: DisparityMap) -> "PlaneSupport":
         """What speaks for the planes of a pair."""
         grid, textured, (row, col) = pair.grid, is_textured(pair.first), np.nonzero(matches.valid)
         disparity = matches.disparity[row, col]
@@ -202,10 +200,7 @@ def _static_texture(grid: EpipolarGrid, matches: DisparityMap) -> Bool[np.ndarra
 def _floor_and_ceiling_bound(
     grid: EpipolarGrid, planes: np.ndarray, *, is_sky_open: bool
 ) -> Float32[np.ndarray, "height width"]:
-    """Disparity below which a pixel is clearly farther than the floor or, unless the sky is open, the ceiling.
-
-    Floor and ceiling are the best supported level planes below and above the camera.
-    """
+    """Disparity below which a pixel is clearly farther than the floor or, unless the sky is open, the ceiling."""
     bound = np.full(grid.directions.shape[:2], NOT_VISIBLE_DISPARITY, np.float32)
     for side in (-1.0,) if is_sky_open else (-1.0, 1.0):
         for normal in planes:  # the best supported one first

@@ -6,8 +6,6 @@ or a disc with a round edge or a blurred inside. Paint over an operator has exac
 moved. The ground is a horizontal plane; the camera's height above it is the one that explains most of both maps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
@@ -219,10 +217,7 @@ def _objects(seeds: Mask, unique: Mask, region: Mask) -> Mask:
 def _ground_height(
     maps: tuple[NadirMap, NadirMap], views: tuple[View, View], repeats: Int[np.ndarray, "rows cols"]
 ) -> float | None:
-    """The first camera's height above the ground; None if no height stands out, or the cameras are too close for it.
-
-    Patterns that repeat themselves do not count: they fit at several heights.
-    """
+    """The first camera's height above the ground, by patterns that do not repeat; None if no height stands out."""
     way = views[1].pose.position - views[0].pose.position
     heights = GROUND_HEIGHTS * float(np.linalg.norm(way))
     shares = []

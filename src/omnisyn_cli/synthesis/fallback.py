@@ -52,10 +52,7 @@ class MaskedFade:
 
 
 class CrossFade:
-    """Both photographs of a pair, turned but not moved. Not shared between threads.
-
-    They are painted over where they may not be shown.
-    """
+    """Both photographs of a pair, turned but not moved, painted over where they are masked. Not shared by threads."""
 
     def __init__(
         self, images: Sequence[np.ndarray], poses: Sequence[Pose], size: tuple[int, int], threads: int | None = None

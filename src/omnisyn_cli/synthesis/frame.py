@@ -1,7 +1,5 @@
 """A frame between two panoramas: both surfaces seen from a waypoint, given one exposure, joined to one picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -42,13 +40,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class FusedFrame:
-    """A frame and what it was made of, in buffers that the next one overwrites.
-
-    ``nearest`` answers the greatest inverse depth that either view sees, 1/metre.
-    """
+    """A frame and what it was made of, in buffers that the next one overwrites."""
 
     frame: Frame
-    nearest: Callable[[], float]
+    nearest: Callable[[], float]  # the greatest inverse depth that either view sees, 1/metre
     pixels_per_radian: float
 
     def looks_the_same_from(self, waypoint: Waypoint) -> bool:

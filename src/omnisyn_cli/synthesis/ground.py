@@ -179,10 +179,7 @@ def _recolour(
 def _continued_step(
     difference: Float[np.ndarray, "edge 3"], edge: Float[np.ndarray, "edge 3"], inside: Float[np.ndarray, "pixels 3"]
 ) -> Float32[np.ndarray, "pixels 3"]:
-    """Differences of colour in directions around a gap, continued smoothly into it, at most :data:`MAX_STEP`.
-
-    Added to a filling, they hide its edge (Pérez et al., Poisson image editing, 2003).
-    """
+    """Differences of colour around a gap, continued smoothly into it (Pérez et al., Poisson image editing, 2003)."""
     size = (MAP_SIZE, MAP_SIZE)
     col, row = (np.clip(np.rint(index), 0, MAP_SIZE - 1).astype(np.intp) for index in to_map(edge))
     step, weight = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)

@@ -4,8 +4,6 @@ The paper's method, the one of this program, is :class:`SurfaceMethod`; others t
 :mod:`omnisyn_cli.baselines.synsin` and :mod:`omnisyn_cli.baselines.cross_fade`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -57,10 +55,7 @@ class Method(Protocol):
 
 
 class SurfaceMethod:
-    """Depth → mesh → render both → fuse; a :class:`Method`.
-
-    For the estimator see :class:`~omnisyn_cli.synthesis.chain_depth.ChainDepth`. By default the fuser is geometric.
-    """
+    """Depth → mesh → render both → fuse, by default geometrically; a :class:`Method`."""
 
     def __init__(
         self, estimator: DepthEstimator, options: SynthesisOptions, fuser: Fuser | None = None,
@@ -76,7 +71,7 @@ class SurfaceMethod:
             self._chain = ChainDepth(views, self.estimator, self.clock, self.options.threads)
         return self._chain
 
-    def prepare(self, index: int, views: Sequence[View]) -> SurfacePair:
+    def prepare(self, index: int, views: Sequence[View]) -> "SurfacePair":
         """Find the depth of both and make their surfaces."""
         prepared = prepare_pair(index, self.depths_of(views), self.options, self.clock)
         return SurfacePair(prepared, self._fuser, self.options, self.clock)

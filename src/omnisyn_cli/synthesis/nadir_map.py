@@ -1,7 +1,5 @@
 """A panorama around its nadir, in a map whose pixels have equal angles, and where another panorama shows its ground."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -34,7 +32,7 @@ class NadirMap:
     variance: Float32[np.ndarray, "rows cols"]  # of the colours in windows, summed over channels
 
     @staticmethod
-    def of(view: View, turn: Float[np.ndarray, "3 3"]) -> NadirMap:
+    def of(view: View, turn: Float[np.ndarray, "3 3"]) -> "NadirMap":
         """Of a view, turned; at most as fine as its picture."""
         x, y = map_degrees()
         angle, azimuth = np.radians(np.hypot(x, y)), np.arctan2(x, -y)

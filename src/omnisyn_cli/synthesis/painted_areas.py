@@ -5,8 +5,6 @@ the colour at the nadir of both panoramas. A plain floor of a rendered scene loo
 when the camera moves, where paint keeps its place. Bands are whole rows and columns.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8

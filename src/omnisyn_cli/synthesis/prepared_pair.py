@@ -1,7 +1,5 @@
 """What the frames between two neighbouring views are made from: their depth and their surfaces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -65,10 +63,7 @@ class PreparedPair:
 def measure_pair(
     index: int, chain: ChainDepth, options: SynthesisOptions, clock: Stopwatch
 ) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
-    """The depth of both views of the pair number ``index``, and what they say of each other through it.
-
-    Where both views stand at one place depth is not looked for.
-    """
+    """The depth of both views of a pair, and what they say of each other, unless both stand at one place."""
     first, second = (chain.views[view] for view in chain.links[index])
     if at_same_position(first.pose, second.pose):
         with clock("depth"):

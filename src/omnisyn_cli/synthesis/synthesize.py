@@ -52,10 +52,7 @@ def synthesize(
 def _photograph_at(
     views: Sequence[View], waypoint: Waypoint, method: Method, out: FrameAllocator | None
 ) -> Frame | None:
-    """The panorama that was taken at a waypoint; None where there is none, or not all of it may be shown.
-
-    It is resampled only where size or orientation differ.
-    """
+    """The panorama that was taken at a waypoint; None where there is none, or not all of it may be shown."""
     if waypoint.t not in (0.0, 1.0):
         return None
     index, options = waypoint.segment + int(waypoint.t), method.options

@@ -66,10 +66,7 @@ def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:
 
 
 def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, " frames"]:
-    """For every frame segment + t, with one frame on every panorama.
-
-    Segments of no length (a turn in place) take the mean time of the others.
-    """
+    """For every frame segment + t, one frame on every panorama; turns in place take the mean time of the others."""
     moving = lengths > SAME_POSITION_METRES
     typical = lengths[moving].mean() if moving.any() else 1.0
     knots = np.concatenate([[0.0], np.cumsum(np.where(moving, lengths, typical))])
