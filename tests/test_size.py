@@ -10,14 +10,14 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_110, "interpolation": 5_050, "evaluation": 4_270, "training": 3_500, "scenes": 4_010, "render": 3_600,
-    "cli": 3_500, "io": 3_420, "stereo": 3_660, "fusion": 3_040, "synthesis": 2_220, "batch": 1_710,
-    "networks": 1_600, "baselines": 1_040, "geometry": 980, "pipeline": 660, "compute": 650, "(top)": 340,
-    "runtime": 490,
+    "poses": 6_630, "interpolation": 5_240, "evaluation": 4_050, "training": 3_280, "scenes": 3_900, "render": 3_550,
+    "cli": 3_650, "io": 3_750, "stereo": 3_610, "fusion": 2_810, "synthesis": 2_180, "batch": 1_670,
+    "networks": 1_510, "baselines": 960, "geometry": 900, "pipeline": 630, "compute": 620, "(top)": 340,
+    "runtime": 480,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 49_850
+MOST_LINES = 49_800
 """The sum. When rooms shrink, lower their budgets and it."""
 
 MOST_TEST_LINES, MOST_WORDS = 35_450, 28_400
