@@ -27,12 +27,9 @@ IMPORT_FORMATS = (
 )  # fmt: skip
 # Those of :mod:`omnisyn_cli.poses.formats.writers`, written out likewise.
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
-
 CAMERA_AXES = ("opengl", "opencv", "flu")
-
 # What a user may call up: an axis of the positions, or what the cameras hold upright.
 UP_AXES = ("y", "-y", "z", "-z", "cameras")
-
 ROLL_DIRECTIONS = ("counter-clockwise", "clockwise")
 
 images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())

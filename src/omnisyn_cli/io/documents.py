@@ -97,10 +97,7 @@ def read_xml(path: Path) -> Element:
 
 
 def parse_json(text: str) -> Any:
-    """The value that a text says, without repeated keys, NaN and infinity, which JSON readers treat differently.
-
-    A ValueError says what was expected, what came and what to do.
-    """
+    """The value that a text says. ValueError: no JSON, or repeated keys, NaN or infinity: readers disagree there."""
     try:
         return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse)
     except _DisagreementError as error:

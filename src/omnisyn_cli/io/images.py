@@ -148,10 +148,7 @@ def _reduced(
 def read_mask(
     path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS, reading: Reading = DEFAULT_READING
 ) -> Bool[np.ndarray, "height width"]:
-    """Read a mask ``(height, width)``: True (usable) where the first channel is at least half of white.
-
-    Arguments and errors are those of :func:`read_panorama`.
-    """
+    """Read a mask: True (usable) where the first channel is at least half of white; else as :func:`read_panorama`."""
     panorama = _read_sphere(
         path, is_photograph=False, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading
     )

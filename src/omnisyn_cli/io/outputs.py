@@ -46,7 +46,10 @@ def make_folder(folder: Path, what: str) -> None:
 
 
 def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders: bool = False) -> None:
-    """Refuse (OutputPathError) to overwrite inputs; ``whole_folders`` are replaced with everything in them."""
+    """Refuse (OutputPathError) outputs that would overwrite what they are made of.
+
+    With ``whole_folders`` outputs that are folders are replaced with everything in them, not added to.
+    """
     replaced = set(map(real_path, outputs))
     for path in inputs:
         source = real_path(path)
@@ -106,10 +109,8 @@ def _has_ended(process: int) -> bool:
         return False  # asking would be a signal there
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, OverflowError):
-        return False
+    except (OSError, OverflowError) as error:
+        return isinstance(error, ProcessLookupError)
     return False
 
 

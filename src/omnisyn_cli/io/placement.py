@@ -162,7 +162,7 @@ def _tagged_crop(header: ImageHeader, height: int, width: int) -> Crop | None:
 def _evenly_scaled(crop: Crop, height: int, width: int) -> Placement:
     """A crop of a 2:1 sphere, scaled by one factor to ``height × width``, in a sphere that is 2:1 again."""
     crop_height, crop_width, crop_top, crop_left, crop_full_height, _ = crop
-    # Height and width were rounded each on its own: the sphere explains both best (least squares), and holds them.
+    # Height and width were rounded each on its own: this sphere explains both best (least squares) and holds them.
     factor = (height * crop_height + width * crop_width) / (crop_height**2 + crop_width**2)
     full_height = max(round(crop_full_height * factor), height, (width + 1) // 2)
     scale = full_height / crop_full_height

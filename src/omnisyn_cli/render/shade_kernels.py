@@ -55,14 +55,11 @@ class TextureArrays(NamedTuple):
 
 
 class SourceView(NamedTuple):
-    """Where a source is seen from: rotation of the target's frame from the source's, position there, and resolution.
+    """Where a source is seen from."""
 
-    ``texels_per_pixel``: of the texture at full resolution, per pixel of the target.
-    """
-
-    rotation: np.ndarray
-    position: np.ndarray
-    texels_per_pixel: np.float32
+    rotation: np.ndarray  # of the target's frame from the source's
+    position: np.ndarray  # in the target's frame
+    texels_per_pixel: np.float32  # of the texture at full resolution, per pixel of the target
 
 
 class _Scratch(NamedTuple):

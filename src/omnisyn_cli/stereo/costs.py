@@ -31,13 +31,10 @@ INVALID_COST = np.float32(MAX_COST)  # cost of a surface behind the camera
 
 
 class ColourCost(NamedTuple):
-    """How colours count beside the census: their weight against it, in [0, 1].
+    """How colours count beside the census."""
 
-    ``scale``: 1 / the sum of differences over three channels that costs 1.
-    """
-
-    weight: np.float32
-    scale: np.float32
+    weight: np.float32  # against the census, in [0, 1]
+    scale: np.float32  # 1 / the sum of differences over three channels that costs 1
 
     @staticmethod
     def from_truncation(weight: float, truncation: float) -> "ColourCost":

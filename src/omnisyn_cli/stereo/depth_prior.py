@@ -23,15 +23,11 @@ MIN_CONFIDENCE, FULL_COST_CONFIDENCE = 0.2, 0.4
 
 
 class DepthPrior(NamedTuple):
-    """The depth that is expected of one panorama, in the frame of a camera or of a pair; all ``(height, width)``.
+    """The depth that is expected of one panorama, in the frame of a camera or of a pair."""
 
-    √(inverse depth × baseline), what differs by less from it and costs nothing, and the probability that depth is
-    within 10 %.
-    """
-
-    sqrt_inv_depth: Float32[np.ndarray, "height width"]
-    tolerance: Float32[np.ndarray, "height width"]
-    confidence: Float32[np.ndarray, "height width"]
+    sqrt_inv_depth: Float32[np.ndarray, "height width"]  # √(inverse depth × baseline)
+    tolerance: Float32[np.ndarray, "height width"]  # what differs by less from it costs nothing
+    confidence: Float32[np.ndarray, "height width"]  # the probability that depth is within 10 %
 
     def remapped(self, table: RemapTable) -> "DepthPrior":
         """In another frame."""
@@ -51,16 +47,15 @@ class DepthPrior(NamedTuple):
 
 
 class DisparityPrior(NamedTuple):
-    """What disparities cost beside what is matched; all ``(height, width)``.
+    """What disparities cost beside what is matched."""
 
-    Between rows ``lower`` and ``upper`` nothing, outside ``below`` or ``above`` for each row, and at most ``limit``.
-    """
-
+    # rows between which they cost nothing
     lower: Float32[np.ndarray, "height width"]
     upper: Float32[np.ndarray, "height width"]
+    # of each row below and above these
     below: Float32[np.ndarray, "height width"]
     above: Float32[np.ndarray, "height width"]
-    limit: Float32[np.ndarray, "height width"]
+    limit: Float32[np.ndarray, "height width"]  # the greatest cost
 
     def cost(self, disparity: Float[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
         """Of one surface."""

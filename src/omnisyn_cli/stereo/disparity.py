@@ -83,25 +83,18 @@ class MatchingOptions:
 
 @dataclass(frozen=True)
 class DisparityMap:
-    """Disparities (rows) from one panorama to the other.
+    """Disparities from one panorama to the other."""
 
-    ``valid``: where matching decided clearly; the other values are guesses. ``unique``: where nothing else matches
-    nearly as well; None if that was not measured.
-    """
-
-    disparity: Float[np.ndarray, "height width"]
-    valid: Bool[np.ndarray, "height width"]
-    unique: Bool[np.ndarray, "height width"] | None = None
+    disparity: Float[np.ndarray, "height width"]  # rows
+    valid: Bool[np.ndarray, "height width"]  # where matching decided clearly; the other values are guesses
+    unique: Bool[np.ndarray, "height width"] | None = None  # where nothing matches nearly as well; None: not measured
 
 
 class LeftRightTolerance(NamedTuple):
-    """Rows by which both directions may differ: ``share · disparity``, but at least ``far`` and at most ``near``.
-
-    Without the upper limit anything passed for agreement on an untextured road.
-    """
+    """Rows by which both directions may differ: ``share · disparity``, but at least ``far`` and at most ``near``."""
 
     far: float
-    near: float
+    near: float  # without it anything passed for agreement on an untextured road
     share: float
 
 

@@ -14,14 +14,11 @@ MAX_INVERSE_DEPTH = 20.0
 
 @dataclass(frozen=True)
 class EpipolarGrid:
-    """The pixels of a rectified image, and its two units: rows of disparity, and inverse depth in 1/baselines.
+    """The pixels of a rectified image, and its two units: rows of disparity, and inverse depth in 1/baselines."""
 
-    In the frame of the pair: unit vectors, each row's angle to the epipole (radians), and the world's up.
-    """
-
-    directions: Float[np.ndarray, "height width 3"]
-    polar_angle: Float[np.ndarray, "height 1"]
-    up: Float[np.ndarray, " 3"]
+    directions: Float[np.ndarray, "height width 3"]  # unit vectors in the frame of the pair
+    polar_angle: Float[np.ndarray, "height 1"]  # of each row, to the epipole (radians)
+    up: Float[np.ndarray, " 3"]  # the world's, in the frame of the pair
 
     @property
     def height(self) -> int:

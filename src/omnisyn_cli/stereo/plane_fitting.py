@@ -37,30 +37,23 @@ MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
 
 
 class PlanePoints(NamedTuple):
-    """Points that one camera of a rectified pair sees, in the frame in which it is the first one.
+    """Points that one camera of a rectified pair sees, in the frame in which it is the first one."""
 
-    Directions are unit vectors; inverse depth, and the distance of an inlier (``tolerance``), are in 1/baselines; the
-    solid angle weighs a point; ``row`` and ``col`` are its pixel, for windows of neighbours.
-    """
-
-    directions: Float[np.ndarray, "points 3"]
-    inverse_depth: Float[np.ndarray, " points"]
-    tolerance: Float[np.ndarray, " points"]
-    solid_angle: Float[np.ndarray, " points"]
+    directions: Float[np.ndarray, "points 3"]  # unit vectors
+    inverse_depth: Float[np.ndarray, " points"]  # 1/baselines
+    tolerance: Float[np.ndarray, " points"]  # the distance of an inlier, likewise
+    solid_angle: Float[np.ndarray, " points"]  # weighs a point
+    # its pixel, for windows of neighbours
     row: Int[np.ndarray, " points"]
     col: Int[np.ndarray, " points"]
 
 
 class PlaneEquations(NamedTuple):
-    """One linear equation ``normal · ray = inverse_depth`` for each point of both cameras, in the first one's frame.
+    """One linear equation ``normal · ray = inverse_depth`` for each point of both cameras, in the first one's frame."""
 
-    Rays are directions; for points of the second camera ``direction + inverse_depth · camera``. Inverse depth is from
-    the camera that sees the point. For ``tolerance`` see :class:`PlanePoints`.
-    """
-
-    rays: Float[np.ndarray, "points 3"]
-    inverse_depth: Float[np.ndarray, " points"]
-    tolerance: Float[np.ndarray, " points"]
+    rays: Float[np.ndarray, "points 3"]  # directions; of the second camera ``direction + inverse_depth · camera``
+    inverse_depth: Float[np.ndarray, " points"]  # from the camera that sees the point
+    tolerance: Float[np.ndarray, " points"]  # see :class:`PlanePoints`
     is_second: Bool[np.ndarray, " points"]
 
     @staticmethod

@@ -231,16 +231,12 @@ def _is_on_flank(normal: np.ndarray, plane: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class AxisSweep:
-    """How well each pixel fits planes across an axis: those behind the camera where it looks back, else those before.
-
-    The axis is a unit vector in the frame of the pair, distances are those of the planes from the first camera, in
-    baselines. ``scores`` ``(2, distances, pixels)`` are 255 times ``1 − cost / GOOD_COST``, at least 0.
-    """
+    """How well each pixel fits planes across an axis: those behind the camera where it looks back, else those ahead."""
 
     directions: Directions
-    axis: Float[np.ndarray, " 3"]
-    distances: Float[np.ndarray, " distances"]
-    scores: UInt8[np.ndarray, "2 distances pixels"]
+    axis: Float[np.ndarray, " 3"]  # a unit vector in the frame of the pair
+    distances: Float[np.ndarray, " distances"]  # of the planes from the first camera, in baselines
+    scores: UInt8[np.ndarray, "2 distances pixels"]  # 255 times ``1 − cost / GOOD_COST``, at least 0
 
     @staticmethod
     def of(directions: Directions, axis: Float[np.ndarray, " 3"]) -> "AxisSweep":
@@ -293,17 +289,13 @@ def _scores(direction: SweepDirection, normals: Float[np.ndarray, "planes 3"]) -
 
 
 class HalfSweep(NamedTuple):
-    """The planes of a sweep on one side of the cameras: 0 where pixels look against the axis, 1 along it.
-
-    ``mask`` are the pixels of both images that do, ``support`` is what each plane explains of what is not explained
-    yet, and ``is_candidate`` are distances that may still be found.
-    """
+    """The planes of a sweep on one side of the cameras."""
 
     sweep: AxisSweep
-    side: int
-    mask: list[Bool[np.ndarray, " pixels"]]
-    support: Float[np.ndarray, "2 distances"]
-    is_candidate: Bool[np.ndarray, " distances"]
+    side: int  # 0 where pixels look against the axis, 1 along it
+    mask: list[Bool[np.ndarray, " pixels"]]  # the pixels of both images that do
+    support: Float[np.ndarray, "2 distances"]  # what each plane explains of what is not explained yet
+    is_candidate: Bool[np.ndarray, " distances"]  # which may still be found
 
     def remove(self, which: int, pixels: Int[np.ndarray, " pixels"], weight: Float[np.ndarray, " pixels"]) -> None:
         """Pixels of one image that have been explained."""

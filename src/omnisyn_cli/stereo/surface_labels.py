@@ -42,13 +42,10 @@ LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 
 
 class CandidatePlanes(NamedTuple):
-    """Planes that pixels may lie on, best supported first: normals as long as the inverse distance (1/baselines).
+    """Planes that pixels may lie on, best supported first."""
 
-    ``is_measured``: swept or expected ones, which were measured in the images; the others are fitted to matches.
-    """
-
-    normals: Float[np.ndarray, "planes 3"]
-    is_measured: Bool[np.ndarray, " planes"]
+    normals: Float[np.ndarray, "planes 3"]  # as long as the inverse distance (1/baselines)
+    is_measured: Bool[np.ndarray, " planes"]  # in the images, as swept and expected ones; others are fitted to matches
 
     def seen_by_second(self) -> "CandidatePlanes":
         """Those that the second camera sees, in the frame of the reversed pair."""
