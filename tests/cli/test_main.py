@@ -109,8 +109,8 @@ def test_an_empty_name_is_not_this_folder(
 
 def test_the_remedy_is_that_of_the_mistake(omnisyn: Omnisyn, tmp_path: Path) -> None:
     estimate = ("poses", "estimate", "a.jpg", "b.jpg", "-o", "p.json")
-    assert "got both; leave out" in omnisyn.misused(*estimate, "--baseline", 1, "--camera-height", 1.6)
-    assert "got neither; give one" in omnisyn.misused(*estimate)
+    assert "got more than one; leave out" in omnisyn.misused(*estimate, "--baseline", 1, "--camera-height", 1.6)
+    assert "got none; give one" in omnisyn.misused(*estimate)
     assert "or a flat 1920x1080, got '1080p'" in omnisyn.misused("interpolate", "a", "b", "--size", "1080p")
     assert "got a folder; name the files in it" in omnisyn.ended(3, "info", tmp_path).err
     assert "(omnisyn poses estimate)" in omnisyn.refused("batch", "plan", tmp_path, "-o", tmp_path / "jobs.jsonl")
