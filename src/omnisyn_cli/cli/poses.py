@@ -257,8 +257,8 @@ def estimate(
     omnisyn poses estimate a.jpg b.jpg c.jpg --add d.jpg -o poses.json --overwrite
     """  # noqa: D301 - click's \b is a backspace
     if (given := bool(baselines) + (camera_height is not None) + bool(new)) != 1:
-        found = "more than one; leave out the others" if given else "none; give one"
-        raise click.UsageError(f"expected one of --baseline, --camera-height and --add, got {found}")
+        problem = "more than one; leave out the others" if given else "none; give one"
+        raise click.UsageError(f"expected one of --baseline, --camera-height and --add, got {problem}")
     if poses is not None and not new:
         raise click.UsageError("expected --poses with --add only, got it alone; name new panoramas (--add NEW)")
     from omnisyn_cli.io.outputs import check_kept, check_output
