@@ -30,7 +30,9 @@ def test_a_panorama_that_is_added_leaves_the_files_of_others(tmp_path: Path, omn
     walk = tmp_path / "walk"
     words = ("view", folder, "-o", walk, "--folder", "--threads", 1, "--nadir", 0)
     omnisyn.made(*words)
-    before = {path.name: path.read_bytes() for path in walk.iterdir()}
+    former = json.loads((walk / "walk.json").read_text())
+    seen_from_outside = former["files"][former["dollhouse"]["inverseDepth"]["block"]]  # one file for the whole tour
+    before = {path.name: path.read_bytes() for path in walk.iterdir() if path.name != seen_from_outside}
     for path in walk.iterdir():
         os.utime(path, (1, 1))
     assert "added" in omnisyn.made(*words, "--add", images[3], "--overwrite").err
