@@ -96,7 +96,10 @@ def test_walls_that_nobody_confirms_stay_flat_in_spite_of_what_stands_before_the
 @pytest.mark.parametrize(("kind", "expected"), [("room", True), ("street", False)])
 def test_a_room_is_enclosed_and_a_street_is_not(kind: str, expected: bool) -> None:
     first, _, last = generated_views(kind, 104, 1.0, SIZE)
-    assert is_enclosed((first, last), KnownDepth()(first, last)) == expected
+    depths = KnownDepth()(first, last)
+    assert is_enclosed((first, last), depths) == expected
+    guessed = replace(depths[0], confidence=depths[0].confidence * 0.3), depths[1]
+    assert not is_enclosed((first, last), guessed)  # near, but nobody knows: the sky of a pair that fails
 
 
 HEIGHT = 1.6

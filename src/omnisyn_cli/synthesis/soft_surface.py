@@ -68,8 +68,10 @@ SOFT_CONFIDENCE = 0.15  # confidence of soft depth: too little to hide the other
 # Inverse depth of the surface seen from a camera, in 1/(half baseline), between which it is looked for.
 INVERSE_DEPTH_RANGE = (1e-3, 20.0)
 BISECTIONS = 22  # halvings of that range: each leaves half of its logarithm, 10 / 2^22 in the end
-# A place has a ceiling if this share of what lies higher above the horizon is nearer than so many baselines.
-MIN_CEILING_DEG, MAX_CEILING_BASELINES, MIN_CEILING_SHARE = 30.0, 10.0, 0.5
+# A place has a ceiling if this share of what lies higher above the horizon is nearer than so many baselines, as far as
+# confidence goes: the sky gets near depth of no confidence where pairs fail. Two restaurants have 0.52 and 0.69, five
+# pairs of a campus at most 0.28.
+MIN_CEILING_DEG, MAX_CEILING_BASELINES, MIN_CEILING_SHARE = 30.0, 10.0, 0.4
 
 Depths = tuple[DepthEstimate, DepthEstimate]
 
@@ -83,7 +85,7 @@ def is_enclosed(views: tuple[View, View], depths: Depths) -> bool:
         height = pixel_directions(*size) @ view.pose.rotation.T @ UP
         above = solid_angles(*size) * (height > np.sin(np.radians(MIN_CEILING_DEG)))
         is_near = depth.inverse_depth * baseline * MAX_CEILING_BASELINES > 1.0
-        shares.append(float((above * is_near).sum() / above.sum()))
+        shares.append(float((above * is_near * depth.confidence).sum() / above.sum()))
     return min(shares) > MIN_CEILING_SHARE
 
 
