@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from registration_samples import PIXEL, chain, edges_of
+from registration_samples import PIXEL, chain, edges_of, unit
 
 from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import UP
@@ -22,6 +22,22 @@ def test_lengths_along_a_chain_follow_from_shared_points(noise):
     true = np.array([np.linalg.norm(poses[b].position - poses[a].position) for a, b in pairs])
     np.testing.assert_allclose(lengths / lengths.mean(), true / true.mean(), rtol=1e-3 if noise == 0.0 else 0.03)
     np.testing.assert_allclose(pose_graph.baseline_lengths(edges, {(1, 2): true[1]})[0][1], true[1], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("wrong", "is_told"), [(0.45, True), (0.7, False)])
+def test_points_that_say_anything_do_not_tell_a_ratio(wrong, is_told):
+    """Equal bays of a facade match along it: the pose stays, and the distances of their points mean nothing."""
+    poses = chain()
+    first, second = edges_of(poses, [(0, 1), (1, 2)])
+    pose, count = second.estimate.first_from_second, int(wrong * len(second.matches))
+    away = np.exp(np.random.default_rng(2).uniform(0.0, 4.0, count))[:, None]  # in baselines
+    bent = unit(pose.inverse().transform(second.matches.first[:count] * away))
+    matches = replace(second.matches, second=np.concatenate([bent, second.matches.second[count:]]))
+    lengths, scale_of = pose_graph.baseline_lengths([first, replace(second, matches=matches)], {})
+    assert (scale_of[0] == scale_of[1]) == is_told
+    if is_told:
+        true = [np.linalg.norm(poses[k + 1].position - poses[k].position) for k in (0, 1)]
+        np.testing.assert_allclose(lengths[0] / lengths[1], true[0] / true[1], rtol=0.02)
 
 
 def test_a_set_is_placed_as_it_stands():

@@ -18,7 +18,9 @@ from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, su
 
 # Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then.
 MIN_PARALLAX_PIXELS = 6.0
-MIN_SHARED_POINTS = 5  # Points that two pairs have to share for a ratio of their baselines
+# Points that have to agree about a ratio of two baselines, half of those that both pairs see, and within which range of
+# its logarithm. A facade of equal bays adds points that say anything.
+MIN_SHARED_POINTS, SHARED_RANGE = 3, 0.4
 MAX_SHARED_WEIGHT = 100  # Shared points beyond this make a ratio no more credible
 
 # Weight, in shared points, of baselines being equal: it decides only where nothing else does.
@@ -292,7 +294,7 @@ def _way_length(way: list[int], cost: np.ndarray) -> float:
 
 
 def _log_length_ratio(a: Edge, b: Edge) -> tuple[float, int] | None:
-    """Logarithm of the length of a over that of b from points that both see, and how many points."""
+    """Logarithm of the length of a over that of b from points that both see, and how many agree about it."""
     shared = {a.first, a.second} & {b.first, b.second}
     if len(shared) != 1:
         return None
@@ -300,11 +302,14 @@ def _log_length_ratio(a: Edge, b: Edge) -> tuple[float, int] | None:
     for edge in (a, b):
         pose, own, other = edge.seen_from(next(iter(shared)))
         distances.append(_distances(pose, own, other, edge.matches.pixel))
-    both = distances[0].keys() & distances[1].keys()
-    if len(both) < MIN_SHARED_POINTS:
-        return None
     # one distance in two units: it counts more units of the shorter baseline
-    return float(np.median([math.log(distances[1][key] / distances[0][key]) for key in sorted(both)])), len(both)
+    logs = np.sort([math.log(distances[1][key] / distances[0][key]) for key in distances[0].keys() & distances[1]])
+    counts = np.searchsorted(logs, logs + SHARED_RANGE, "right") - np.arange(len(logs))
+    count = int(counts.max(initial=0))
+    if count < max(MIN_SHARED_POINTS, len(logs) / 2):
+        return None
+    begin = int(counts.argmax())
+    return float(np.median(logs[begin : begin + count])), count
 
 
 def _distances(pose: Pose, first: np.ndarray, second: np.ndarray, pixel: float) -> dict[bytes, float]:
