@@ -47,7 +47,7 @@ def run_job(
             stages.note(f"note: {note}")
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")
-        plan = plan_of(job)
+        plan = _with_prior_cost(plan_of(job), is_measured=dry_run)
         for note in plan.notes:
             stages.note(f"note: {note}")
         values = {**plan.describe(), **expected(plan)}
@@ -86,6 +86,15 @@ def run_job(
     return summary
 
 
+def _with_prior_cost(plan: P, *, is_measured: bool) -> P:
+    """The plan with what a depth network of the user's takes; where there is none, nothing of networks is imported."""
+    if not plan.config.depth.has_own_prior:
+        return plan
+    from omnisyn_cli.interpolation.planning.prior import with_prior_cost
+
+    return with_prior_cost(plan, is_measured=is_measured)
+
+
 def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:
     """Print a plan as JSON; or a sentence, and a line for each value that says something new."""
     if as_json:
@@ -95,5 +104,5 @@ def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None
     for key, value in values.items():
         shown = ", ".join(map(str, value)) if isinstance(value, list) else value
         shown = ("no", "yes")[value] if isinstance(value, bool) else shown
-        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
+        if key not in ("notes", "expected_words", "expected_range", "depth_prior_words") and shown not in ("", None):
             say(f"{key.replace('_', ' '):>18}: {shown}")
