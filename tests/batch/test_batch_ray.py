@@ -37,20 +37,9 @@ def cluster(monkeypatch):
 
 
 def start(folder: Path, output: Path, *more: str) -> subprocess.Popen[str]:
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "omnisyn_cli",
-        "batch",
-        folder / "jobs.jsonl",
-        "-o",
-        output,
-        "--threads",
-        "1",
-    ]
+    command = [sys.executable, "-P", "-m", "omnisyn_cli", "batch", str(folder / "jobs.jsonl"), "-o", str(output)]
     return subprocess.Popen(
-        [*map(str, command), *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
+        [*command, "--threads", "1", *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
     )
 
 

@@ -38,6 +38,7 @@ def run_job(
     what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES
+    from omnisyn_cli.interpolation.planning.prior import with_prior_cost
     from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, claimed
 
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
@@ -47,7 +48,7 @@ def run_job(
             stages.note(f"note: {note}")
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")
-        plan = _with_prior_cost(plan_of(job), is_measured=dry_run)
+        plan = with_prior_cost(plan_of(job), is_measured=dry_run)
         for note in plan.notes:
             stages.note(f"note: {note}")
         values = {**plan.describe(), **expected(plan)}
@@ -84,15 +85,6 @@ def run_job(
         for line in summary.lines(is_report_possible=is_report_possible):
             say(line)
     return summary
-
-
-def _with_prior_cost(plan: P, *, is_measured: bool) -> P:
-    """The plan with what a depth network of the user's takes; where there is none, nothing of networks is imported."""
-    if not plan.config.depth.has_own_prior:
-        return plan
-    from omnisyn_cli.interpolation.planning.prior import with_prior_cost
-
-    return with_prior_cost(plan, is_measured=is_measured)
 
 
 def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:

@@ -17,16 +17,14 @@ SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 @contextmanager
 def environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Processes that are started inside have these variables in their environment."""
-    former = {name: os.environ.get(name) for name in variables}
+    former = {name: os.environ[name] for name in variables if name in os.environ}
     os.environ.update(variables)
     try:
         yield
     finally:
-        for name, value in former.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in variables:
+            del os.environ[name]
+        os.environ.update(former)
 
 
 def safe_path() -> AbstractContextManager[None]:

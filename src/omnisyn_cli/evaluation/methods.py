@@ -284,7 +284,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     if not changes:
         raise InputError(
             f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {', '.join(PLAIN_PARAMETERS)}, "
-            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx, "
+            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx|NAME, "
             f"prior-kind=perspective+depth, prior=simulated(0.1) (where a network refines matching) or "
             f"{TOUR_PARAMETER} (where depth is estimated) after the colon, got {parameter!r} in {name!r}"
         )
