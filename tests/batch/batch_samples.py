@@ -55,6 +55,8 @@ def make_tricks(folder: str) -> Callable[[tuple[str, Any]], Any]:
                 return os.getpid(), list(done)
             case "sleep":
                 time.sleep(value)
+            case "environment":
+                return Path("/proc/self/environ").read_bytes().split(b"\0")  # which it was started with
             case "refuse":
                 raise InputError(f"expected better, got\n{value}")
             case "stumble":

@@ -110,6 +110,16 @@ def test_an_error_is_an_answer_and_bugs_keep_their_traceback(tmp_path):
     assert done["2"].answer.value[1] == ["worse", "over", 1], "one worker, made once, did it all"
 
 
+@pytest.mark.skipif(not CAN_KILL, reason="needs /proc")
+def test_numerical_libraries_are_told_their_threads_before_a_worker_loads_them(tmp_path, monkeypatch):
+    """What the user says of one of them is left."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    found = run_tricks(tmp_path, ("environment", 0), workers=1)["0"].answer.value
+    assert {b"OPENBLAS_NUM_THREADS=1", b"MKL_NUM_THREADS=3"} <= set(found)
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
 @pytest.mark.skipif(not CAN_KILL, reason="needs SIGKILL")
 def test_a_dead_worker_is_replaced_and_its_job_done_again_but_not_for_ever(tmp_path):
     done = run_tricks(tmp_path, ("die", 0), ("die once", 1), ("echo", 2), ("echo", 3))

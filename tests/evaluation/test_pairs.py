@@ -88,14 +88,18 @@ def test_each_panorama_but_the_ends_is_the_truth_once(tmp_path: Path) -> None:
     assert scores == {"ws_psnr", "ws_ssim", "aligned_psnr", "aligned_ssim", "misplacement", "shards"}
 
 
-def test_a_pose_file_is_not_needed(tmp_path: Path) -> None:
+def test_a_pose_file_is_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses are estimated once: a run that goes on has those of the first."""
     scene = generate_scene("street", 3)
     path = sample_path(scene, 3, 3)
     for number, pose in enumerate(path):
         image, _ = render_panorama(scene, pose, (384, 768), supersample=1)
         write_image(tmp_path / f"{number + 8}.jpg", image)
-    (source,) = tours_of_photographs(tmp_path, choose_pairs("around"))
+    (source,) = tours_of_photographs(tmp_path, choose_pairs("around"), tmp_path / "report")
     frames = source.read().frames
+    monkeypatch.setattr("omnisyn_cli.evaluation.datasets.layouts.estimate_poses", None)
+    again = source.read().frames
+    assert all(one.pose.almost_equals(other.pose, metres=0.0) for one, other in zip(frames, again, strict=True))
     assert [frame.name for frame in frames] == ["8.jpg", "9.jpg", "10.jpg"]
     for poses in (path, [frame.pose for frame in frames]):
         assert distance_between(*poses[:2]) / distance_between(*poses[::2]) == pytest.approx(0.5, abs=0.03)
@@ -109,7 +113,7 @@ def test_other_kinds_of_data_are_refused(tmp_path: Path, more: dict[str, object]
 
 def test_too_few_photographs_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected three photographs"):
-        tours_of_photographs(tmp_path, choose_pairs("around"))
+        tours_of_photographs(tmp_path, choose_pairs("around"), tmp_path)
 
 
 def test_light_does_not_count_and_neither_does_what_is_left_out(walk: list[np.ndarray]) -> None:

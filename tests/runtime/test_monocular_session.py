@@ -1,6 +1,11 @@
 """Networks that users bring: what is asked of them, what is refused, and answers that are kept."""
 
+import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +13,16 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from cli.cli_samples import Omnisyn
+from interpolation_samples import Hall
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.interpolation.planning.duration import expected_duration
+from omnisyn_cli.interpolation.planning.memory import PriorCost
+from omnisyn_cli.interpolation.planning.prior import with_prior_cost
 from omnisyn_cli.runtime import monocular_session
 from omnisyn_cli.runtime.monocular_session import MonocularSession, NetworkKind
 from omnisyn_cli.runtime.session import open_session
+from omnisyn_cli.stereo import matching_estimator
 
 PICTURE = np.random.default_rng(0).random((3, 16, 32)).astype(np.float32)
 
@@ -110,6 +121,8 @@ def test_what_is_no_depth_network_is_refused(tmp_path: Path, settings: dict, wor
 def test_a_file_whose_weights_lie_elsewhere_is_refused(tmp_path: Path) -> None:
     path = network(tmp_path / "a.onnx", constant=np.random.default_rng(0).random((1, 1, 16, 32)))
     onnx.save(onnx.load(path), path, save_as_external_data=True, location="weights", size_threshold=0)
+    with pytest.raises(InputError, match="weights in one file"):
+        opened(path)
     (tmp_path / "weights").unlink()
     with pytest.raises(InputError, match="ONNX Runtime says"):
         opened(path)
@@ -124,7 +137,7 @@ def test_words_that_say_nothing_are_refused(words: str) -> None:
 def test_answers_are_kept_by_picture_and_network(tmp_path: Path, answers: Path, monkeypatch) -> None:
     """A second session asks nothing; another picture, network or kind does. A broken file is no answer."""
     first = opened(network(tmp_path / "a.onnx"))(PICTURE)[0]
-    (file,) = answers.iterdir()
+    (file,) = answers.glob("*.npy")
     asked = []
     original = monocular_session.run_network
     monkeypatch.setattr(monocular_session, "run_network", lambda *each: asked.append(1) or original(*each))
@@ -140,11 +153,66 @@ def test_answers_are_kept_by_picture_and_network(tmp_path: Path, answers: Path, 
     assert not list(answers.glob("*.part"))
 
 
+# Ends the process in the middle of writing an answer, and has any pair ask the network.
+KILLED_RUN = """
+import os, signal, sys
+from pathlib import Path
+from omnisyn_cli.cli import main
+from omnisyn_cli.stereo import matching_estimator
+
+def write(file, content, write_all=Path.write_bytes):
+    if b"NUMPY" in content:
+        write_all(file, content[: len(content) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+    write_all(file, content)
+
+Path.write_bytes, matching_estimator.WELL_MATCHED_SHARE = write, 2.0
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_a_run_that_is_killed_while_an_answer_is_written_is_done_again_to_the_same_result(
+    pair: Hall, tmp_path: Path, answers: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plan says which answers there are already, and what the others take."""
+    words = ["interpolate", str(tmp_path), "--frames", "3", "--size", "64x32", "--preset", "fast", "--threads", "1",
+             "--depth-prior", str(network(tmp_path / "a.onnx")), "-o"]  # fmt: skip
+    killed = subprocess.run([sys.executable, "-c", KILLED_RUN, *words, str(tmp_path / "out")], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert sorted(file.suffix for file in answers.iterdir()) == [".json", ".part"]
+    plans = [omnisyn.json(*words, tmp_path / "out", "--dry-run")]
+    monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
+    omnisyn.made(*words, tmp_path / "out")
+    plans.append(omnisyn.json(*words, tmp_path / "new", "--dry-run"))
+    for kept, plan in zip((0, 2), plans, strict=True):
+        assert plan["depth_prior_words"].endswith(f"for 2 pictures, {kept} of them with kept answers")
+    shutil.rmtree(answers)
+    omnisyn.made(*words, tmp_path / "calm")
+    assert [file.read_bytes() for file in sorted((tmp_path / "out").iterdir())] == [
+        file.read_bytes() for file in sorted((tmp_path / "calm").iterdir())
+    ]
+
+
+def test_what_a_network_takes_is_measured_once_and_counted(pair: Hall, tmp_path: Path, answers: Path) -> None:
+    job = {"depth_prior": str(network(tmp_path / "a.onnx", shape=(1, 3, 16, 16))), "preset": "fast"}
+    unknown = with_prior_cost(pair.plan(**job), is_measured=False)
+    assert unknown.prior_cost.seconds is None
+    assert expected_duration(unknown) is None
+    with_prior_cost(unknown, is_measured=True)
+    (file,) = answers.glob("*.json")
+    file.write_text("[2.5, 3000000]")
+    known, bundled = with_prior_cost(unknown, is_measured=True), replace(unknown, prior_cost=PriorCost())
+    assert known.prior_cost.seconds == 2 * 14 * 2.5
+    assert known.memory_estimate.program_bytes - bundled.memory_estimate.program_bytes == 3e6
+    assert expected_duration(known).seconds - expected_duration(bundled).seconds == pytest.approx(70, abs=20)
+
+
 def test_the_oldest_answers_go_first_and_a_broken_folder_keeps_none(tmp_path, answers: Path, monkeypatch) -> None:
     monkeypatch.setattr(monocular_session, "MAX_KEPT_ANSWERS", 2)
     session = opened(network(tmp_path / "a.onnx"))
     for turns in range(4):
         session(np.roll(PICTURE, turns, axis=2))
-    assert len(list(answers.iterdir())) == 2
+    assert len(list(answers.glob("*.npy"))) == 2
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a.onnx"))
     assert session(np.roll(PICTURE, 9, axis=2))[0].shape == (16, 32)

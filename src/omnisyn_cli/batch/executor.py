@@ -19,12 +19,12 @@ from multiprocessing.context import SpawnProcess
 from pkgutil import resolve_name
 from typing import Any, Protocol
 
-from omnisyn_cli.compute.processes import spawn_context
+from omnisyn_cli.compute.processes import environment, spawn_context
 from omnisyn_cli.errors import OmnisynError
 
 MAX_WORKER_DEATHS = 2  # a job during which so many workers died is not tried again
 SHUTDOWN_TIMEOUT_SECONDS = 10  # that a worker has to finish after its connection is closed; then it is killed
-# Environment variables by which numerical libraries take their number of threads.
+# Environment variables by which numerical libraries take their number of threads, when they are loaded.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -213,17 +213,16 @@ class LocalExecutor(Executor):
     def _spawn(self) -> tuple[SpawnProcess, Connection]:
         context = spawn_context()
         ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._work, self._threads), daemon=True)
-        process.start()
+        process = context.Process(target=_serve, args=(theirs, self._work), daemon=True)
+        with environment({name: os.environ.get(name, str(self._threads)) for name in THREAD_VARIABLES}):
+            process.start()
         theirs.close()
         return process, ours
 
 
-def _serve(connection: Connection, work: Work, threads: int) -> None:
+def _serve(connection: Connection, work: Work) -> None:
     """Work through jobs until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
-    for name in THREAD_VARIABLES:  # libraries read them when they are loaded, which they are not yet
-        os.environ.setdefault(name, str(threads))
     end_with_parent()
     worker = Worker(work)
     with suppress(EOFError, OSError):

@@ -38,6 +38,7 @@ def run_job(
     what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
     """
     from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES
+    from omnisyn_cli.interpolation.planning.prior import with_prior_cost
     from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, claimed
 
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
@@ -47,7 +48,7 @@ def run_job(
             stages.note(f"note: {note}")
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")
-        plan = plan_of(job)
+        plan = with_prior_cost(plan_of(job), is_measured=dry_run)
         for note in plan.notes:
             stages.note(f"note: {note}")
         values = {**plan.describe(), **expected(plan)}
@@ -95,5 +96,5 @@ def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None
     for key, value in values.items():
         shown = ", ".join(map(str, value)) if isinstance(value, list) else value
         shown = ("no", "yes")[value] if isinstance(value, bool) else shown
-        if key not in ("notes", "expected_words", "expected_range") and shown not in ("", None):
+        if key not in ("notes", "expected_words", "expected_range", "depth_prior_words") and shown not in ("", None):
             say(f"{key.replace('_', ' '):>18}: {shown}")

@@ -5,8 +5,8 @@ somebody else has made, with a ``pickle.py`` in it.
 """
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 
@@ -15,17 +15,21 @@ SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 
 
 @contextmanager
-def safe_path() -> Iterator[None]:
-    """Interpreters that are started inside do not look for modules in the current directory."""
-    former = os.environ.get(SAFE_PATH_VARIABLE)
-    os.environ[SAFE_PATH_VARIABLE] = "1"
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Processes that are started inside have these variables in their environment."""
+    former = {name: os.environ[name] for name in variables if name in os.environ}
+    os.environ.update(variables)
     try:
         yield
     finally:
-        if former is None:
-            del os.environ[SAFE_PATH_VARIABLE]
-        else:
-            os.environ[SAFE_PATH_VARIABLE] = former
+        for name in variables:
+            del os.environ[name]
+        os.environ.update(former)
+
+
+def safe_path() -> AbstractContextManager[None]:
+    """Interpreters that are started inside do not look for modules in the current directory."""
+    return environment({SAFE_PATH_VARIABLE: "1"})
 
 
 class _SafeProcess(SpawnProcess):

@@ -93,7 +93,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     has_tours = any(method.is_in_tour for method in methods)
     choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else AROUND_PAIRS if job.leave_out else None))
     if job.leave_out:
-        sources = tours_of_photographs(job.dataset, choose, job.threads, allow_outside=job.allow_outside)
+        sources = tours_of_photographs(job.dataset, choose, job.report, job.threads, allow_outside=job.allow_outside)
         choose = choose_pairs(None)
     else:
         sources = find_scenes(job.dataset, job.layout, allow_outside=job.allow_outside)
@@ -132,33 +132,26 @@ def evaluate(
     and the last record. InputError: unreadable earlier results, or no network for ``lpips``; OutputPathError,
     WriteError: the folder of the report cannot be written.
     """
-    records: list[UnitRecord] = []
+    folder, records, units = plan.job.report, list[UnitRecord](), 0
+    make_folder(folder, "the report")
+    known = {record.unit: record for record in read_records(folder)}
+    worker = _UnitRunner(plan.job)
     try:
-        for record in _written(plan, on_unit):
-            records.append(record)  # noqa: PERF402 - an interruption leaves those that are finished
+        for record in chain(plan.findings, *(worker.records(pair, plan.methods, known) for pair in plan.pairs)):
+            former = known.get(record.unit)
+            if former is None or former.to_json() != record.to_json():  # as JSON undefined numbers are equal
+                append_line(folder / RESULTS_NAME, record.to_json())
+                known[record.unit] = record
+            records.append(record)
+            units += bool(record.method)
+            if on_unit and record.method:
+                on_unit(units, record)
     finally:
         if records and has_report:
             from omnisyn_cli.evaluation.report import write_report  # matplotlib takes a while to import
 
-            write_report(plan.job.report, records, {"data set": str(plan.job.dataset), "command": plan.job.command})
+            write_report(folder, records, {"data set": str(plan.job.dataset), "command": plan.job.command})
     return records
-
-
-def _written(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
-    """Every record once it is a line of ``results.jsonl``, which it may have been before."""
-    folder, units = plan.job.report, 0
-    make_folder(folder, "the report")
-    known = {record.unit: record for record in read_records(folder)}
-    worker = _UnitRunner(plan.job)
-    for record in chain(plan.findings, *(worker.records(pair, plan.methods, known) for pair in plan.pairs)):
-        former = known.get(record.unit)
-        if former is None or former.to_json() != record.to_json():  # as JSON undefined numbers are equal
-            append_line(folder / RESULTS_NAME, record.to_json())
-            known[record.unit] = record
-        yield record
-        units += bool(record.method)
-        if on_unit and record.method:
-            on_unit(units, record)
 
 
 class _UnitRunner:

@@ -10,6 +10,7 @@ from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
 from omnisyn_cli.pipeline.methods import METHODS
 from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.runtime.models import find_prior
 from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.runtime.session import check_device_of_networks
 
@@ -29,9 +30,7 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     has_default_cut = job.cut is None and job.cut_metres is None
     is_as_published = job.fallback == "soft" and job.preset in REPRODUCTIONS  # which know nothing of soft surfaces
     return RunConfig(
-        DepthSource(
-            kind, defaults.depth.rows, _model(job, kind, defaults), _prior(job, kind, defaults), job.depth_prior_kind
-        ),
+        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults), *_prior(job, kind, defaults)),
         cut=defaults.cut if has_default_cut else job.cut,
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
         fallback="none" if is_as_published else job.fallback, device=job.device,
@@ -101,18 +100,16 @@ def _model(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
     return model
 
 
-def _prior(job: TourJob, kind: str, defaults: RunConfig) -> str | None:
-    """The network that says what depth to expect: what the job says, else the preset's."""
+def _prior(job: TourJob, kind: str, defaults: RunConfig) -> tuple[str | None, str]:
+    """The network that says what depth to expect, and of what kind it is: what the job says, else the preset's."""
     if job.depth_prior is None:
         if job.depth_prior_kind:
             raise InputError("expected --depth-prior with --depth-prior-kind, got none; name the network's file")
-        return defaults.depth.prior if kind == defaults.depth.kind else None
+        return defaults.depth.prior if kind == defaults.depth.kind else None, ""
     if not DEPTH_SOURCES[kind].model_is_optional:
         raise InputError(f"expected --depth-prior with refined depth only, got depth {kind!r}; leave one of them out")
     NetworkKind.from_words(job.depth_prior_kind)
-    if job.depth_prior != "none" and not job.depth_prior.endswith(".onnx"):
-        raise InputError(f"expected an .onnx file or none as --depth-prior, got {job.depth_prior!r}; name the file")
-    return None if job.depth_prior == "none" else job.depth_prior
+    return (None, "") if job.depth_prior == "none" else find_prior(job.depth_prior, job.depth_prior_kind)
 
 
 def check_device(config: RunConfig) -> None:

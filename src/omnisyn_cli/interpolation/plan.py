@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +23,7 @@ from omnisyn_cli.interpolation.job import (
     reading_of,
 )
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
-from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate
+from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate, PriorCost
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
@@ -65,6 +65,7 @@ class TourPlan:
     config: RunConfig  # what surfaces and frames are made with
     notes: tuple[str, ...]  # what the user should know
     tour: Tour  # titles, links and more; its panoramas are those of the job, but each once
+    prior_cost: PriorCost = field(default=PriorCost(), kw_only=True)  # of a depth network of the user's
 
     @property
     def is_chain(self) -> bool:
@@ -109,7 +110,7 @@ class TourPlan:
         files = [entry.depth for entry in self.entries if entry.depth is not None]
         depth, rows = self.config.depth, max(height for height, _ in self.source_sizes)
         surfaces = depth.strategy.grid_sizes(depth, rows, files)
-        return MemoryEstimate(self.job, self.config, self.source_sizes, surfaces, self.looks_ahead)
+        return MemoryEstimate(self.job, self.config, self.source_sizes, surfaces, self.looks_ahead, self.prior_cost)
 
     def pairs_at_one_place(self) -> Iterator[tuple[str, bool]]:
         """For neighbours without a way between them words that say so, and whether they are turned to each other."""
@@ -126,7 +127,7 @@ class TourPlan:
     def in_words(self, values: Mapping[str, Any]) -> str:
         """The values of :meth:`describe`, with ``expected_words`` where the time is known, in one line for people."""
         memory = f"{values['memory_mib'] * 2**20 / 1e9:.1f} GB of memory"
-        return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory)))
+        return ", ".join(filter(None, (self.what(), values.get("expected_words"), memory, values["depth_prior_words"])))
 
     def details(self) -> tuple[dict[str, Any], dict[str, Any], int]:
         """What :meth:`describe` says of the thing that is made: before how depth is found, after it, and its memory."""
@@ -143,7 +144,9 @@ class TourPlan:
             "preset": self.job.preset if is_own else "",
             "depth": config.depth.kind,
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
-            "depth_prior": (config.depth.prior or "none") if self.job.depth_prior is not None else "",
+            "depth_prior": self.job.depth_prior or "",
+            "depth_prior_seconds": self.prior_cost.seconds,
+            "depth_prior_words": self.prior_cost.words,
             "joined_depths": self.fused_depths,
             **after,
             "memory_mib": round(memory / 2**20),

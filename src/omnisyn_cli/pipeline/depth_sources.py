@@ -56,11 +56,16 @@ class DepthSource:
         """Those that have a part in it."""
         return tuple(name for name in (self.model, self.prior) if name is not None)
 
+    @property
+    def has_own_prior(self) -> bool:
+        """Whether what to expect is said by a network of the user's."""
+        return self.prior is not None and self.prior.endswith(".onnx")
+
     def bytes_of_program(self, grids: Sequence[Size]) -> float:
-        """Memory of the program and its networks, given the sizes of surfaces from coarse to fine."""
+        """Memory of the program and its networks but the user's, given the sizes of surfaces from coarse to fine."""
         (height, width), strategy = grids[0], self.strategy
         network = strategy.network_bytes * height * width
-        return strategy.program_bytes + network + (0.0 if self.prior is None else PRIOR_BYTES)
+        return strategy.program_bytes + network + (0.0 if self.prior is None or self.has_own_prior else PRIOR_BYTES)
 
 
 def _matching_size(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
@@ -147,7 +152,7 @@ def _prior(source: DepthSource, open_session: Callable[[], Any]) -> PairPrior:
     from omnisyn_cli.stereo.monocular_answer import MonocularModel
     from omnisyn_cli.stereo.monocular_prior import with_monocular_priors
 
-    if not str(source.prior).endswith(".onnx"):
+    if not source.has_own_prior:
         return partial(with_guided_priors, model=GuidedDepthSession(open_session))
     network = MonocularSession(open_session(), Path(str(source.prior)), NetworkKind.from_words(source.prior_kind))
     return partial(with_monocular_priors, model=MonocularModel(network))

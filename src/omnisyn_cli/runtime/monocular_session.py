@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 import os
 import secrets
+import time
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float32
@@ -26,6 +30,7 @@ PANORAMA_SIZE, PERSPECTIVE_SIZE = (448, 896), (448, 448)
 # Of the channels of pictures, for networks that were not exported with it.
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 MIN_RELATIVE_SPREAD = 1e-4  # of the numbers of an answer: a network with less says the same of every pixel
+PROCESS_STATUS = Path("/proc/self/status")  # of Linux
 MAX_KEPT_ANSWERS = 500  # files in the folder of answers; the oldest go first. One has 0.5 to 1.6 MB.
 
 
@@ -51,15 +56,23 @@ class NetworkKind:
         return NetworkKind(shape, readings[0] if readings else None, "imagenet" in words)
 
 
+class NetworkCost(NamedTuple):
+    """What a network takes for a picture on this machine, as it was measured when it was asked first."""
+
+    seconds: float
+    memory: int  # bytes, those of its weights among them
+
+
 class MonocularSession:
     """One picture in, numbers of depth out; a :class:`omnisyn_cli.stereo.monocular_answer.PictureNetwork`.
 
     Args:
         session: of the network.
-        path: of its file, by whose contents answers are kept.
+        path: of its file.
         kind: what users say of it.
 
-    Raises InputError: it takes something else than one picture, or it takes any size and ``kind`` does not say which.
+    Raises InputError: it takes something else than one picture, it takes any size and ``kind`` does not say which, or
+    its weights lie in another file.
     """
 
     def __init__(self, session: Any, path: Path, kind: NetworkKind) -> None:
@@ -76,7 +89,8 @@ class MonocularSession:
         self._has_channels_first = shape[1] == 3
         sides = shape[2:] if self._has_channels_first else shape[1:3]
         self.size, self.is_panoramic = self._shape_of_pictures(sides)
-        self._digest = sha256_of(path)
+        self.parameters = _parameters(path)
+        self._key = hashlib.sha256(f"{sha256_of(path)} {kind}".encode()).hexdigest()[:16]
 
     def _shape_of_pictures(self, sides: list[Any]) -> tuple[tuple[int, int], bool]:
         is_panoramic = self._kind.is_panoramic
@@ -96,26 +110,50 @@ class MonocularSession:
 
         InputError: it answers no map that is as wide to high as the picture, or one that says nothing.
         """
-        digest = hashlib.sha256(f"{self._digest} {self._kind}".encode() + picture.tobytes()).hexdigest()
-        file = answers_folder() / f"{digest}.npy"
+        file = self.answer_file(picture)
         answer = _kept(file)
         if answer is None:
-            answer = self._asked(picture)
-            _keep(file, answer)
+            answer, _ = self._asked(picture)
+            np.save(content := BytesIO(), answer)
+            _keep(file, content.getvalue())
         numbers, is_points = answer[..., 0], answer.shape[-1] == 3
         if is_points:
             return np.linalg.norm(answer, axis=-1), ("depth",), True
         return numbers, MAP_READINGS if self._kind.reading is None else (self._kind.reading,), False
 
-    def _asked(self, picture: np.ndarray) -> Float32[np.ndarray, "rows cols channels"]:
-        """A map, or three with the coordinates of points."""
+    def answer_file(self, picture: Float32[np.ndarray, "3 height width"]) -> Path:
+        """Where the answer to a picture is or will be kept."""
+        return answers_folder() / f"{self._key}-{hashlib.sha256(picture.tobytes()).hexdigest()[:32]}.npy"
+
+    @property
+    def cost(self) -> NetworkCost | None:
+        """What it costs where it runs, with so many threads; None where it was never asked."""
+        with suppress(OSError, ValueError, TypeError):
+            return NetworkCost(*json.loads(self._cost_file.read_text(encoding="ascii")))
+        return None
+
+    @property
+    def _cost_file(self) -> Path:
+        provider, threads = self._session.get_providers()[0], self._session.get_session_options().intra_op_num_threads
+        return answers_folder() / f"{self._key}-{provider}-{threads}.json"
+
+    def try_out(self) -> NetworkCost:
+        """What it costs, by asking about noise unless that is known. InputError: as of a call."""
+        return self.cost or self._asked(np.random.default_rng(0).random((3, *self.size), np.float32))[1]
+
+    def _asked(self, picture: np.ndarray) -> tuple[Float32[np.ndarray, "rows cols channels"], NetworkCost]:
+        """A map, or three with the coordinates of points; and what it cost."""
         if self._kind.is_normalized:
             mean, deviation = (np.reshape(each, (3, 1, 1)) for each in (IMAGENET_MEAN, IMAGENET_DEVIATION))
             picture = (picture - mean) / deviation
         batch = (picture if self._has_channels_first else np.moveaxis(picture, 0, -1))[None].astype(self._dtype)
         height, width = self.size
         wants_points = self._kind.reading == "points"
-        for answer in run_network(self._session, {self._name: np.ascontiguousarray(batch)}):
+        begin = time.perf_counter()
+        former_peak = _peak_memory()
+        answers = run_network(self._session, {self._name: np.ascontiguousarray(batch)})
+        seconds = time.perf_counter() - begin
+        for answer in answers:
             found = _as_map(answer, wants_points, width / height)
             if found is not None:
                 middle = np.abs(np.median(found))
@@ -123,7 +161,11 @@ class MonocularSession:
                     raise InputError(
                         f"{self._path}: expected depth that varies, got {middle:.3g} everywhere; name another"
                     )
-                return found
+                memory = self._path.stat().st_size + _peak_memory() - former_peak
+                cost = NetworkCost(seconds, memory)
+                if self.cost is None:
+                    _keep(self._cost_file, json.dumps(cost).encode())
+                return found, cost
         shapes = ", ".join(str(list(entry.shape)) for entry in self._session.get_outputs())
         what = "points" if wants_points else "depth"
         raise InputError(
@@ -149,23 +191,44 @@ def answers_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnisyn" / "answers"
 
 
+def _parameters(path: Path) -> int:
+    """How many a network has. InputError: they lie in another file, by which answers would have to be kept as well."""
+    import onnx
+
+    weights = onnx.load(path, load_external_data=False).graph.initializer
+    if any(weight.data_location == onnx.TensorProto.EXTERNAL for weight in weights):
+        raise InputError(
+            f"{path}: expected a network with its weights in one file, got one with weights beside it; export it with "
+            "external_data=False"
+        )
+    return sum(math.prod(weight.dims) for weight in weights)
+
+
+def _peak_memory() -> int:
+    """Bytes that this process held at most, where Linux says it; else 0."""
+    with suppress(OSError, IndexError):
+        status = PROCESS_STATUS.read_text(encoding="ascii", errors="replace")
+        return 1024 * int(status.partition("VmHWM:")[2].split()[0])
+    return 0
+
+
 def _kept(file: Path) -> np.ndarray | None:
     with suppress(OSError, ValueError, EOFError):
         return np.asarray(np.load(file, allow_pickle=False), np.float32)
     return None
 
 
-def _keep(file: Path, answer: np.ndarray) -> None:
-    """Write an answer, whole or not at all, and remove the oldest; a full or read-only disk keeps none."""
+def _keep(file: Path, content: bytes) -> None:
+    """Write a file, whole or not at all, and remove the oldest answers; a full or read-only disk keeps none."""
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
         partial_file = file.with_suffix(f".{secrets.token_hex(4)}.part")
         try:
-            with partial_file.open("wb") as stream:
-                np.save(stream, answer)
+            partial_file.write_bytes(content)
             partial_file.replace(file)
         finally:
             partial_file.unlink(missing_ok=True)
-        files = sorted(file.parent.iterdir(), key=lambda each: each.stat().st_mtime)
+        answers = (each for each in file.parent.iterdir() if each.suffix != ".json")
+        files = sorted(answers, key=lambda each: each.stat().st_mtime)
         for old in files[:-MAX_KEPT_ANSWERS]:
             old.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """What a network says about the depth of one panorama: of the whole, or of perspective pictures of it that overlap."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
@@ -103,17 +103,21 @@ class MonocularModel:
 
     def __call__(self, view: View) -> MonocularAnswer:
         """What it says about a panorama, which it sees upright."""
-        if self.network.is_panoramic:
-            rotations, half_extent = np.eye(3)[None], None
-            pictures = [rotated_image(view.image, view.pose.rotation, np.eye(3), self.network.size)]
-        else:
-            size = perspective_size(self.network.size)
-            rotations, half_extent = picture_rotations(), size.half_extent
-            pictures = perspective_pictures(view, rotations, size)
-        answers = [self.network(np.ascontiguousarray(np.moveaxis(each, -1, 0))) for each in pictures]
-        maps, readings, are_distances = zip(*answers, strict=True)
-        is_distance = self.network.is_panoramic or are_distances[0]
+        is_panoramic, size = self.network.is_panoramic, self.network.size
+        rotations = np.eye(3)[None] if is_panoramic else picture_rotations()
+        half_extent = None if is_panoramic else perspective_size(size).half_extent
+        maps, readings, are_distances = zip(*map(self.network, pictures_of(view, size, is_panoramic)), strict=True)
+        is_distance = is_panoramic or are_distances[0]
         return MonocularAnswer(np.stack(maps), rotations, readings[0], half_extent, is_distance)
+
+
+def pictures_of(view: View, size: tuple[int, int], is_panoramic: bool) -> Iterator[Float32[np.ndarray, "3 rows cols"]]:
+    """What a network of pictures of a size is asked about a panorama."""
+    if is_panoramic:
+        pictures = [rotated_image(view.image, view.pose.rotation, np.eye(3), size)]
+    else:
+        pictures = perspective_pictures(view, picture_rotations(), perspective_size(size))
+    yield from (np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in pictures)
 
 
 def perspective_size(size: tuple[int, int]) -> PerspectiveSize:

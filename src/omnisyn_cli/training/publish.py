@@ -1,8 +1,7 @@
 """From a checkpoint to a model of the program: exported, compared with torch, entered into the manifest."""
 
-import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder, wri
 from omnisyn_cli.networks.export import PARITY, export_network, largest_difference
 from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
-from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, manifest_text, read_manifest, sha256_of
 from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.synsin import blend_points, draw_views
@@ -123,11 +122,4 @@ def _noise(network: Network, size: tuple[int, int]) -> Examples:
 
 def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
     """Write ``manifest.toml``, the inverse of :func:`omnisyn_cli.runtime.models.read_manifest`."""
-    lines = [f"version = {MANIFEST_VERSION}"]
-    for entry in entries.values():
-        lines += ["", "[[models]]"]
-        plain = [key.name for key in fields(entry) if key.name != "metrics"]
-        lines += [f"{key} = {json.dumps(getattr(entry, key), ensure_ascii=False)}" for key in plain]
-        if entry.metrics:
-            lines += ["", "[models.metrics]", *(f"{key} = {value!r}" for key, value in entry.metrics.items())]
-    write_parts(folder / MANIFEST, ["\n".join([*lines, ""]).encode()])
+    write_parts(folder / MANIFEST, [manifest_text(entries).encode()])

@@ -16,6 +16,7 @@
 A single scene or tour is a data set of one.
 """
 
+import hashlib
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -39,13 +40,14 @@ from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_h
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth, read_panorama
 from omnisyn_cli.io.documents import ForeignModel, read_json, validated
-from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.io.outputs import make_folder, real_path
 from omnisyn_cli.io.placement import Reading
 from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
-from omnisyn_cli.poses.file import POSES_NAME, read_poses
+from omnisyn_cli.poses.file import POSES_NAME, read_poses, write_poses
 from omnisyn_cli.poses.formats.files import natural_key
 from omnisyn_cli.poses.formats.json_files import ZIND_FILE_NAME, Panorama, pose_on_floor, read_tour
 from omnisyn_cli.poses.formats.trajectories import habitat_pose
+from omnisyn_cli.runtime.models import sha256_of
 from omnisyn_cli.synthesis.still_outlines import PICTURE_SIZE, find_still_region, spread_out
 from omnisyn_cli.types import View
 
@@ -216,11 +218,12 @@ def read_face_depth(path: Path) -> Float[np.ndarray, "height width"]:
 
 
 def tours_of_photographs(
-    folder: Path, choose: PairChooser, threads: int | None = None, *, allow_outside: bool = False
+    folder: Path, choose: PairChooser, report: Path, threads: int | None = None, *, allow_outside: bool = False
 ) -> list[SceneSource]:
     """A scene for each pair that is chosen, with its photographs between; all of a folder, or of the folders in it.
 
-    Without ``poses.json`` poses are estimated, in an unknown unit. InputError: none, a damaged file, or an absent pair.
+    Without ``poses.json`` poses are estimated, in an unknown unit, and kept in the folder of the ``report``.
+    InputError: none, a damaged file, or an absent pair.
     """
     scenes = []
     places = {place: name for each in (POSES_NAME, PHOTOGRAPHS) for name, place in scene_folders(folder, each)}
@@ -229,7 +232,7 @@ def tours_of_photographs(
         found = own_scenes(place, allow_outside=allow_outside)[0].frames() if is_posed else _in_order(place)
         for pair in choose(Scene(name, tuple(found))):
             frames = (pair.first, *pair.between, pair.second)
-            read = partial(tuple, frames) if is_posed else partial(_located, frames, threads)
+            read = partial(tuple, frames) if is_posed else partial(_located, frames, report, threads)
             scenes.append(SceneSource(f"{name}: {frames[0].image.stem} to {frames[-1].image.stem}", read))
     if not scenes:
         raise InputError(f"{folder}: expected three photographs (JPEG) of a tour or more, got fewer; check the folder")
@@ -249,8 +252,14 @@ def _in_order(folder: Path) -> Iterator[SceneFrame]:
         yield SceneFrame(path.name, path, Pose.identity())
 
 
-def _located(frames: Sequence[SceneFrame], threads: int | None) -> Iterator[SceneFrame]:
-    """The frames with the poses that all of them together give."""
-    found = estimate_poses([frame.image for frame in frames], options=PictureOptions(threads=threads))
-    for frame in (frame for frame in frames if frame.name in found.panoramas):  # one of each place
-        yield replace(frame, pose=found.panoramas[frame.name].pose)
+def _located(frames: Sequence[SceneFrame], report: Path, threads: int | None) -> Iterator[SceneFrame]:
+    """The frames with the poses that all of them together give, or gave when these pictures were asked about before."""
+    digest = hashlib.sha256("".join(sha256_of(frame.image) for frame in frames).encode()).hexdigest()
+    kept = report / f"poses-{digest[:16]}.json"
+    if not kept.is_file():
+        found = estimate_poses([frame.image for frame in frames], options=PictureOptions(threads=threads))
+        make_folder(report, "the report")
+        write_poses(kept, found.panoramas, is_metric=False)
+    panoramas = read_poses(kept).panoramas
+    for frame in (frame for frame in frames if frame.name in panoramas):  # one of each place
+        yield replace(frame, pose=panoramas[frame.name].pose)

@@ -38,6 +38,15 @@ class Footprint:
 
 
 @dataclass(frozen=True)
+class PriorCost:
+    """What a depth network of the user's takes if all pairs ask it."""
+
+    memory: int = 0  # bytes
+    seconds: float | None = 0.0  # None if it was never run on this machine
+    words: str = ""  # that in the plan
+
+
+@dataclass(frozen=True)
 class MemoryEstimate:
     """What memory is estimated from: the most of what is held at a peak. ImageError: a panorama is unreadable."""
 
@@ -48,6 +57,7 @@ class MemoryEstimate:
     # size by :mod:`omnisyn_cli.stereo.refined_estimator`
     depths: Sequence[tuple[int, int]]
     looks_ahead: bool  # whether the next pair is compared as well
+    prior: PriorCost  # of a network of the user's
 
     @cached_property
     def is_8_bit(self) -> bool:
@@ -64,10 +74,15 @@ class MemoryEstimate:
         """Of the largest surface."""
         return max(height * width for height, width in self.depths)
 
+    @property
+    def program_bytes(self) -> float:
+        """Of the program and all networks for depth."""
+        return self.config.depth.bytes_of_program(self.depths) + self.prior.memory
+
     def of_surfaces(self, footprint: Footprint) -> int:
         """Bytes while depth is found and while something is made of a surface."""
         config, pixels, vertices, count = self.config, self.pixels, self.vertices, len(self.sources)
-        program = config.depth.bytes_of_program(self.depths)
+        program = self.program_bytes
         panorama = FLOAT_PIXEL_BYTES + (3 if self.is_8_bit else FLOAT_PIXEL_BYTES)
         more = (panorama * pixels + UNCOLLECTED_BYTES) if count > 2 else 0.0
         if self.looks_ahead:
@@ -84,7 +99,7 @@ class MemoryEstimate:
     def of_frames(self, job: InterpolationJob, size: tuple[int, int]) -> int:
         """Bytes while depth is sharpened, while surfaces are made, and while frames of a size are."""
         config, pixels, vertices = self.config, self.pixels, self.vertices
-        source, program = config.depth.strategy, config.depth.bytes_of_program(self.depths)
+        source, program = config.depth.strategy, self.program_bytes
         renderer = config.renderer_strategy
         is_kept_as_samples = self.is_8_bit and renderer.shades_on_demand
         kept = (3 if self.is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)

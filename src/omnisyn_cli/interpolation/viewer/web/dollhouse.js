@@ -194,16 +194,8 @@ class Dollhouse {
   draw(size) {
     const { gl } = this.renderer, { shown, isFlat, distance, flight } = this.orbit;
     const rotation = rotationOfLook(shown.yaw, shown.pitch), flatAt = isFlat && !flight ? distance : 0;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, ...size);
-    gl.clearColor(0.07, 0.07, 0.08, 1);
-    gl.clearDepth(0);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.enable(gl.DEPTH_TEST);
-    gl.depthFunc(gl.GEQUAL);
-    gl.enable(gl.CULL_FACE);
-    gl.cullFace(gl.BACK);
-    gl.frontFace(gl.CW);
+    this.renderer.beginSurfaces(null, [0.07, 0.07, 0.08, 1]);
     this.program.use({ rotation, position: times(unrotated(rotation, shown.position), -1), lens: lensOf(shown.fov, size), flatAt });
     for (const { vertices, photo, count } of this.meshes) {
       this.program.set('photo', photo);
@@ -211,8 +203,7 @@ class Dollhouse {
       gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
     }
     gl.bindVertexArray(null);
-    gl.disable(gl.DEPTH_TEST);
-    gl.disable(gl.CULL_FACE);
+    this.renderer.endSurfaces();
   }
 
   // Pins stand where panoramas were taken; there are none in flight.

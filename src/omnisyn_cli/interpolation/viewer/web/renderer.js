@@ -32,8 +32,7 @@ class Renderer {
   }
 
   drawPlain({ rotation, lens }, view, viewport) {
-    this.gl.disable(this.gl.DEPTH_TEST);
-    this.gl.disable(this.gl.CULL_FACE);
+    this.endSurfaces();
     this.gl.bindVertexArray(this.vertices);
     this.plain.use({ lens, viewport, photo: view.photo, toSource: columns(product(transposed(view.rotation), rotation)) });
     this.fillPicture();
@@ -78,8 +77,7 @@ class Renderer {
     gl.bindVertexArray(this.vertices);
     gl.viewport(0, 0, ...size);
     scene.views.forEach((view, k) => view.surface && this.drawSurface(view.surface, turns[k], offsets[k], eye.lens, size, k));
-    gl.disable(gl.DEPTH_TEST);
-    gl.disable(gl.CULL_FACE);
+    this.endSurfaces();
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.levels[0].pullInto);
     const { one, targets } = this;
     const rule = ruleAt(scene.t);
@@ -97,10 +95,11 @@ class Renderer {
     this.fillHoles();
   }
 
-  drawSurface(surface, rotation, position, lens, size, k) {
+  // Clears a framebuffer to a colour. Then the nearest triangle is drawn, of those whose corners go clockwise.
+  beginSurfaces(framebuffer, colour) {
     const { gl } = this;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.targets.surfaces[k]);
-    gl.clearColor(-1, 0, 0, 1);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.clearColor(...colour);
     gl.clearDepth(0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
@@ -108,6 +107,16 @@ class Renderer {
     gl.enable(gl.CULL_FACE);
     gl.cullFace(gl.BACK);
     gl.frontFace(gl.CW);
+  }
+
+  endSurfaces() {
+    this.gl.disable(this.gl.DEPTH_TEST);
+    this.gl.disable(this.gl.CULL_FACE);
+  }
+
+  drawSurface(surface, rotation, position, lens, size, k) {
+    const { gl } = this;
+    this.beginSurfaces(this.targets.surfaces[k], [-1, 0, 0, 1]);
     const common = { rotation: columns(rotation), position, lens, size };
     const grid = { inverseDepth: surface.inverseDepth, rowAngles: surface.rowAngles, colAngles: surface.colAngles };
     const tiles = surface.inSight(rotation, position, lens);
