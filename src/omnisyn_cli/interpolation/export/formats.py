@@ -117,7 +117,6 @@ class ExportSummary(TourSummary):
     plan: ExportPlan
 
     advice: ClassVar[str] = "name depth files in the poses"
-    last_remedy: ClassVar[str] = "depth files in the poses"
 
 
 def plan_export(job: ExportJob) -> ExportPlan:
