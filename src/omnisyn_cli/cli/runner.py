@@ -58,12 +58,10 @@ def run_job(
             if as_json or not quiet:
                 _print_plan(values, plan.in_words(values), as_json=as_json)
             return None
-        from omnisyn_cli.cli.aborts import explain_memory_aborts
         from omnisyn_cli.compute.jit import while_compiling
         from omnisyn_cli.compute.stopwatch import while_timing
         from omnisyn_cli.interpolation.configs import check_device
 
-        explain_memory_aborts()
         check_device(plan.config)
         stages.log(plan.in_words(values))
         count = frames(plan)
