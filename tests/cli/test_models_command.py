@@ -16,15 +16,16 @@ from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.runtime.models import (
+    MANIFEST,
     ModelEntry,
     added_models_folder,
     find_model,
+    manifest_text,
     models_folder,
     read_manifest,
     sha256_of,
 )
 from omnisyn_cli.training.checkpoint import save_checkpoint
-from omnisyn_cli.training.publish import write_manifest
 from omnisyn_cli.training.tasks import TASKS
 
 
@@ -74,7 +75,7 @@ def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
     (tmp_path / "a.onnx").write_bytes(b"weights")
     digest = sha256_of(tmp_path / "a.onnx")
     entry = ModelEntry("a", "refine", "v", "a.onnx", digest, (2, 4), 7, "scenes", "MIT", {"delta_25": 0.5})
-    write_manifest(tmp_path, {"a": entry})
+    (tmp_path / MANIFEST).write_text(manifest_text({"a": entry}), encoding="utf-8")
     result = CliRunner().invoke(models, [str(tmp_path)])
     assert result.output.splitlines() == [
         "name  role    size  parameters  hours  purpose",

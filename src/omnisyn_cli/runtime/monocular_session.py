@@ -7,6 +7,7 @@ import json
 import math
 import os
 import secrets
+import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -150,7 +151,7 @@ class MonocularSession:
         height, width = self.size
         wants_points = self._kind.reading == "points"
         begin = time.perf_counter()
-        former_peak = _peak_memory()
+        former_peak = peak_memory() or 0
         answers = run_network(self._session, {self._name: np.ascontiguousarray(batch)})
         seconds = time.perf_counter() - begin
         for answer in answers:
@@ -161,7 +162,7 @@ class MonocularSession:
                     raise InputError(
                         f"{self._path}: expected depth that varies, got {middle:.3g} everywhere; name another"
                     )
-                memory = self._path.stat().st_size + _peak_memory() - former_peak
+                memory = self._path.stat().st_size + (peak_memory() or 0) - former_peak
                 cost = NetworkCost(seconds, memory)
                 if self.cost is None:
                     _keep(self._cost_file, json.dumps(cost).encode())
@@ -204,12 +205,17 @@ def _parameters(path: Path) -> int:
     return sum(math.prod(weight.dims) for weight in weights)
 
 
-def _peak_memory() -> int:
-    """Bytes that this process held at most, where Linux says it; else 0."""
+def peak_memory() -> int | None:
+    """Bytes that this process held at most, of Linux itself: ``getrusage`` says no less than the parent held."""
     with suppress(OSError, IndexError):
         status = PROCESS_STATUS.read_text(encoding="ascii", errors="replace")
         return 1024 * int(status.partition("VmHWM:")[2].split()[0])
-    return 0
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
 
 
 def _kept(file: Path) -> np.ndarray | None:
