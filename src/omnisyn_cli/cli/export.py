@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -80,13 +79,10 @@ def export(
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
     job = ExportJob(format=format, texture=texture, stride=stride, sky=sky, dome=dome, clips=clips, **given)
-    run_job(job, plan_export, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet)
-
-
-def _load() -> Callable[..., ExportSummary]:
-    from omnisyn_cli.interpolation.export.run import run_export
-
-    return run_export
+    run_job(
+        job, plan_export, "export.run:run_export", lambda made: say(_said(made)), as_json=as_json, dry_run=dry_run,
+        quiet=quiet,
+    )  # fmt: skip
 
 
 def _said(summary: ExportSummary) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -203,7 +202,7 @@ def interpolate(
         return plan
 
     run_job(
-        InterpolationJob(**given), plan_of, _load,
+        InterpolationJob(**given), plan_of, "run:run_interpolation",
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
         expected=_expected, frames=lambda plan: len(plan.path), is_report_possible=every is None,
     )  # fmt: skip
@@ -235,12 +234,6 @@ def _frames_of_video(options: dict[str, Any], every: float | None) -> dict[str, 
     check_kept([output], [video])
     frames = click.get_current_context().with_resource(frames_of_video(video, every))
     return {"images": frames, "poses": options["poses"] or Path("auto"), "output": output}
-
-
-def _load() -> Callable[..., Summary]:
-    from omnisyn_cli.interpolation.run import run_interpolation
-
-    return run_interpolation
 
 
 def _expected(plan: InterpolationPlan) -> dict[str, Any]:

@@ -69,7 +69,7 @@ def view(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
+    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 
     check_one_cut(options)
     if serve and not folder:
@@ -88,7 +88,7 @@ def view(
             options["images"] = (*options["images"], *new)
         job = job_of()
     summary = run_job(
-        job, plan_view, lambda: run_view, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run,
+        job, plan_view, "viewer.run:run_view", lambda made: say(_said(made)), as_json=as_json, dry_run=dry_run,
         quiet=quiet,
     )  # fmt: skip
     if summary is None:
