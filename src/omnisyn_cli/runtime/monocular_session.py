@@ -67,13 +67,8 @@ class NetworkCost(NamedTuple):
 class MonocularSession:
     """One picture in, numbers of depth out; a :class:`omnisyn_cli.stereo.monocular_answer.PictureNetwork`.
 
-    Args:
-        session: of the network.
-        path: of its file.
-        kind: what users say of it.
-
-    Raises InputError: it takes something else than one picture, it takes any size and ``kind`` does not say which, or
-    its weights lie in another file.
+    InputError: the network takes something else than one picture, it takes any size and ``kind`` does not say which, or
+    its weights lie in another file than ``path``.
     """
 
     def __init__(self, session: Any, path: Path, kind: NetworkKind) -> None:
