@@ -36,21 +36,9 @@ from omnisyn_cli.synthesis.trajectory import Ease, Heading, plan_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 __all__ = [
-    "PRESETS",
-    "DepthEstimate",
-    "DepthEstimator",
-    "DepthSource",
-    "Fuser",
-    "Layer",
-    "Pose",
-    "RunConfig",
-    "View",
-    "estimate_depth",
-    "interpolate",
-    "make_frames",
-    "read_views",
-    "write_video",
-]
+    "PRESETS", "DepthEstimate", "DepthEstimator", "DepthSource", "Fuser", "Layer", "Pose", "RunConfig", "View",
+    "estimate_depth", "interpolate", "make_frames", "read_views", "write_video",
+]  # fmt: skip
 
 
 def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: float = 0.0) -> list[View]:

@@ -138,20 +138,13 @@ class TourPlan:
         config, (before, after, memory) = self.config, self.details()
         is_own = config.draws_surfaces
         return {
-            "inputs": [str(image) for image in self.job.images],
-            "output": str(self.job.output),
-            **before,
-            "preset": self.job.preset if is_own else "",
-            "depth": config.depth.kind,
+            "inputs": [str(image) for image in self.job.images], "output": str(self.job.output), **before,
+            "preset": self.job.preset if is_own else "", "depth": config.depth.kind,
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
-            "depth_prior": self.job.depth_prior or "",
-            "depth_prior_seconds": self.prior_cost.seconds,
-            "depth_prior_words": self.prior_cost.words,
-            "joined_depths": self.fused_depths,
-            **after,
-            "memory_mib": round(memory / 2**20),
-            "notes": list(self.notes),
-        }
+            "depth_prior": self.job.depth_prior or "", "depth_prior_seconds": self.prior_cost.seconds,
+            "depth_prior_words": self.prior_cost.words, "joined_depths": self.fused_depths, **after,
+            "memory_mib": round(memory / 2**20), "notes": list(self.notes),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -64,17 +64,10 @@ class Trainer:
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
         return {
-            "kind": self.kind,
-            "network": self.network.config.as_dict(),
-            "training": asdict(self.config),
-            "step": self.step,
-            "cooldown_start": self.cooldown_start,
-            "scores": self.scores,
-            "best": self.best,
-            "weights": self.network.state_dict(),
-            "average": self.average,
-            "optimizer": self.optimizer.state_dict(),
-        }
+            "kind": self.kind, "network": self.network.config.as_dict(), "training": asdict(self.config),
+            "step": self.step, "cooldown_start": self.cooldown_start, "scores": self.scores, "best": self.best,
+            "weights": self.network.state_dict(), "average": self.average, "optimizer": self.optimizer.state_dict(),
+        }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""
