@@ -178,7 +178,6 @@ def interpolate(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.configs import check_device
     from omnisyn_cli.interpolation.inputs import video_ending
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.plan import plan_interpolation
@@ -198,7 +197,6 @@ def interpolate(
             from omnisyn_cli.interpolation.planning.duration import apply_budget
 
             plan = apply_budget(plan, budget)
-        check_device(plan.config)
         return plan
 
     run_job(
