@@ -61,7 +61,8 @@ def fusion_input_channels(
     directions = xp.asarray(_directions(*like.shape), dtype=like.dtype, device=device(like))
     gap = normalized_depth_gap(first, second, rule.disagreement) * is_both
     weights = view_weights(first, second, directions, rule)
-    log_ratio = _log_ratio(*(xp.where(both, weight, one) for weight in weights))
+    a, b = (xp.where(both, weight, one) for weight in weights)
+    log_ratio = xp.log((a + MIN_WEIGHT_RATIO * b) / (b + MIN_WEIGHT_RATIO * a))  # bounded where one is next to nothing
     channels = [
         *(first.colour[..., k] for k in range(3)),
         *(second.colour[..., k] for k in range(3)),
@@ -85,11 +86,6 @@ def needs_no_network(channels: Float32[Array, "channels height width"]) -> bool:
 
 
 _directions = lru_cache(maxsize=2)(pixel_directions)
-
-
-def _log_ratio(a: Array, b: Array) -> Float[Array, "height width"]:
-    """log(a / b), bounded where one of them is next to nothing."""
-    return array_namespace(a).log((a + MIN_WEIGHT_RATIO * b) / (b + MIN_WEIGHT_RATIO * a))
 
 
 def _colour_relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
