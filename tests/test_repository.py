@@ -11,13 +11,10 @@ ROOT_FILES = {".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "READM
 
 # Folders at the root, and the endings of files in them.
 KINDS = {
-    ".ci": {""},
-    "docs": {".md", ".png"},
-    "examples": {".html", ".jpg", ".json", ".md", ".py"},
-    "models": {".md", ".onnx", ".toml"},
-    "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
+    ".ci": {""}, "docs": {".md", ".png"}, "examples": {".html", ".jpg", ".json", ".md", ".py"},
+    "models": {".md", ".onnx", ".toml"}, "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
     "tests": {".json", ".py"},
-}
+}  # fmt: skip
 MOST = 32 << 10  # Bytes of a file whose ending says nothing else: a text that somebody reads.
 # Bytes by ending.
 MOST_OF = {".html": 3 << 20, ".jpg": 768 << 10, ".png": 96 << 10, ".json": 24 << 10, ".onnx": 12 << 20}

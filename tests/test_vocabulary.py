@@ -57,13 +57,9 @@ PRIVATE_WORDS = {
 }  # fmt: skip
 # Whole names, whose words are fine in others.
 PRIVATE_NAMES = {
-    "Bands": "DisparityRange",
-    "Recent": "LRU cache",
-    "Rendering": "Layer",
-    "Shown": "Layer",
-    "Turned": "local frame",
+    "Bands": "DisparityRange", "Recent": "LRU cache", "Rendering": "Layer", "Shown": "Layer", "Turned": "local frame",
     "Views": "LayerPair",
-}
+}  # fmt: skip
 # Names in which a private word has its common meaning.
 COMMON_NAMES = {
     "BrokenProcessPool", "ProcessPoolExecutor", "ThreadPoolExecutor",  # of the standard library
