@@ -20,13 +20,13 @@ S = TypeVar("S", bound="TourSummary")
 
 
 def run_job(
-    job: J, plan_of: Callable[[J], P], place: str, report: Callable[[S], None], *, as_json: bool, dry_run: bool,
+    job: J, plan_of: Callable[[J], P], function: str, report: Callable[[S], None], *, as_json: bool, dry_run: bool,
     quiet: bool, expected: Callable[[P], Mapping[str, Any]] = lambda plan: {},
     frames: Callable[[P], int] = lambda plan: 0, is_report_possible: bool = True,
 ) -> S | None:  # fmt: skip
     """Plan a job by ``plan_of``, print the plan and stop, or carry it out, and print by ``report`` what was done.
 
-    ``place`` has the module and name of what carries it out, which is called with the plan and what counts its
+    ``function`` has the module and name of what carries it out, which is called with the plan and what counts its
     ``frames``. ``expected`` is what else is said of the plan. The report is possible if panoramas are still there when
     the command has ended.
     """
@@ -63,7 +63,7 @@ def run_job(
         stages.expect(reading=len(plan.entries), depth=len(plan.pairs), **({"frames": count} if count else {}))
         is_unsaid = quiet or stages.has_bars  # which say it themselves
         with say_when_compiling(is_quiet=is_unsaid), while_compiling(stages.compile):
-            run: Callable[[P, Callable[[int], None]], S] = resolve_name(f"omnisyn_cli.interpolation.{place}")
+            run: Callable[[P, Callable[[int], None]], S] = resolve_name(f"omnisyn_cli.interpolation.{function}")
             from omnisyn_cli.interpolation.kernel_warm_up import compiling_beside
 
             with while_timing(stages.time), compiling_beside(job.threads):
