@@ -1,13 +1,4 @@
-"""The manifest of a batch: one job a line, JSONL or CSV, checked whole before anything starts.
-
-A line has an ``id``, the panoramas, and any option of ``omnisyn interpolate`` under its long name with underscores::
-
-    {"id": "a-b", "inputs": ["a.jpg", "b.jpg"], "poses": "poses.json", "frames": 60, "size": "2048x1024"}
-    {"id": "hall", "scene": "scenes/hall", "output": "hall.mov", "codec": "prores"}
-
-File names are relative to the manifest, outputs to the folder of the batch, angles are degrees. In CSV the first line
-names the columns, empty cells are left out and ``inputs`` and ``masks`` are separated by ``;``.
-"""
+"""The manifest of a batch: a job a line, JSONL or CSV, checked whole before anything starts; see ``docs/batch.md``."""
 
 import math
 from dataclasses import dataclass

@@ -1,8 +1,7 @@
 """The training loop: constant rate after a warm-up, an average of the weights, a short cool-down.
 
-How long a run may last is rarely known, so the rate stays constant and the exponential average (EMA) is the model; when
-time is up, :attr:`TrainConfig.cooldown_steps` more steps take the rate to zero along a cosine. Everything is counted in
-steps: a run that is paused, killed or continued goes the same way, bit for bit on one machine.
+How long a run may last is rarely known, so the rate stays constant and the exponential average (EMA) is the model.
+Everything is counted in steps: a run that is paused, killed or continued goes the same way, bit for bit on one machine.
 """
 
 import math
