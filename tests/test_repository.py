@@ -65,13 +65,10 @@ def test_every_expected_place_is_in_use() -> None:
 @pytest.mark.parametrize(
     ("name", "size"),
     [
-        ("t.json", 100),
-        ("src/omnisyn_cli/frames.mp4", 1),
-        ("tests/io/t.json", 100_000),
-        ("notes/a.md", 1),
+        ("t.json", 100), ("src/omnisyn_cli/frames.mp4", 1), ("tests/io/t.json", 100_000), ("notes/a.md", 1),
         ("Makefile", 9),
     ],
-)
+)  # fmt: skip
 def test_a_stray_file_is_found(name: str, size: int) -> None:
     path = PurePosixPath(name)
     assert not (is_expected(path) and is_small(path, size))
