@@ -219,9 +219,10 @@ def unexplained_kernels() -> Iterator[str]:
     for path in sources():
         for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.FunctionDef) and KERNELS & set(map(decorator_of, node.decorator_list)):
-                count = len(node.args.posonlyargs + node.args.args + node.args.kwonlyargs)
-                if count > MAX_PARAMETERS and "Args:" not in (ast.get_docstring(node) or ""):
-                    yield f"{path}:{node.lineno}: {node.name}: {count} parameters, no Args"
+                names = [each.arg for each in node.args.posonlyargs + node.args.args + node.args.kwonlyargs]
+                unsaid = set(names) - set(re.findall(r"\w+", ast.get_docstring(node) or ""))
+                if len(names) > MAX_PARAMETERS and unsaid:
+                    yield f"{path}:{node.lineno}: {node.name}: nothing about {', '.join(sorted(unsaid))}"
 
 
 def fail_with(offenders: list[str]) -> str:

@@ -15,9 +15,9 @@ def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, po
 
     They are written into ``points``, ``(height, width, 4)``, for source rows from ``begin`` to before ``end``; points
     that are masked or lie at the target's centre get a negative inverse depth. ``rho`` is the inverse depth of the
-    source, 1/metre, ``mask`` tells which pixels are points. Sines and cosines are of the polar angle per source row and
-    of the azimuth per column; ``rotation`` and ``t`` (metres) of the target camera from the source camera; ``scale`` is
-    the target's, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
+    source, 1/metre, ``mask`` tells which pixels are points. ``sin_p`` and ``cos_p`` are of the polar angle per source
+    row, ``sin_a`` and ``cos_a`` of the azimuth per column; ``rotation`` and ``t`` (metres) of the target camera from
+    the source camera; ``scale`` is the target's, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
     """
     width = rho.shape[1]
     for row in range(begin, end):
@@ -86,7 +86,8 @@ def composite(points, found, features, radius, floor, sin_p, cos_p, out, begin, 
     ``points`` are those of :func:`project_points`; ``found`` has their indices, ``(height, width, most)``, front to
     back, :data:`NO_POINT` after the last; ``features`` are ``(points, channels)``. Discs have a ``radius`` in radians;
     ``floor`` is the least squared distance from a disc's centre over its squared radius, which bounds the opacity below
-    1. Rows from ``begin`` to before ``end`` of ``out``, ``(height, width, channels + 1)``, are written.
+    1. ``sin_p`` and ``cos_p`` are of the polar angle per target row; rows from ``begin`` to before ``end`` of ``out``,
+    ``(height, width, channels + 1)``, are written.
     """
     width, most = found.shape[1], found.shape[2]
     channels = features.shape[1]

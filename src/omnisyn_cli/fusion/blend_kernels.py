@@ -97,8 +97,9 @@ def _gaussian(gap):
 def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, rule):
     """:func:`omnisyn_cli.fusion.blend_rule.view_weights` of one pixel, without branches.
 
-    Of each layer: the weight of its colour, its inverse depth from the target (>= 0), and the position of its view in
-    the frame of the target. ``x``, ``y``, ``z`` is the pixel's unit ray; the rule a :class:`KernelRule`.
+    ``weight_a`` and ``weight_b`` are those of the layers' colours, ``rho_a`` and ``rho_b`` their inverse depths from
+    the target (>= 0), ``offset_a`` and ``offset_b`` the positions of their views in the frame of the target; ``x``,
+    ``y``, ``z`` is the pixel's unit ray, ``rule`` a :class:`KernelRule`.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     a = weight_a * _inverse_distance_weight(rho_a, x, y, z, offset_a)
@@ -122,10 +123,11 @@ def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, 
 def blend_rows(first, second, rule, tables, quantization, out, seen, coarse_colour, coarse_weight):
     """Blend some rows of two layers, quantise them, and halve them for the pyramid that fills holes.
 
-    The layers are :class:`LayerRows`, the rule a :class:`KernelRule`, ``tables`` the
-    :class:`omnisyn_cli.types.DirectionTables` of these rows. Written are ``out``, ``(rows, width, 3)``, undefined in
-    holes, where the number of rows may be odd at the end of the picture; ``seen``, 0 in holes, else 1; and of half the
-    size, rounded up, ``coarse_colour`` where there is weight, and ``coarse_weight``, large where the surface is far.
+    ``first`` and ``second`` are :class:`LayerRows`, ``rule`` is a :class:`KernelRule`, ``quantization`` a
+    :class:`Quantization`, ``tables`` are the :class:`omnisyn_cli.types.DirectionTables` of these rows. Written are
+    ``out``, ``(rows, width, 3)``, undefined in holes, where the number of rows may be odd at the end of the picture;
+    ``seen``, 0 in holes, else 1; and of half the size, rounded up, ``coarse_colour`` where there is weight, and
+    ``coarse_weight``, large where the surface is far.
     """
     rows, width = seen.shape
     upper, lower = empty(4 * RUN_PIXELS, np.float32), empty(4 * RUN_PIXELS, np.float32)

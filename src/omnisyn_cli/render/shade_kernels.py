@@ -132,8 +132,9 @@ def _new_scratch(layout, cubic):
 def _shade_run(rho, texture, sp, cp, sin_a, cos_a, view, scratch, flat, first):
     """Shade up to :data:`RUN_PIXELS` pixels of a row, given their inverse depth ``rho``.
 
-    ``sp`` and ``cp`` are sine and cosine of the polar angle of the row, ``sin_a`` and ``cos_a`` those of the azimuths
-    of the pixels, which are written into ``flat`` from index ``first`` on.
+    ``texture`` is a :class:`TextureArrays`, ``view`` a :class:`SourceView`, ``scratch`` a :class:`_Scratch`. ``sp`` and
+    ``cp`` are sine and cosine of the polar angle of the row, ``sin_a`` and ``cos_a`` those of the azimuths of the
+    pixels, which are written into ``flat`` from index ``first`` on.
     """
     if not _is_any(rho):
         flat[first : first + 4 * len(rho)] = np.float32(0.0)
@@ -206,7 +207,8 @@ def _scales(cubic, unit):
 def _find_coordinates(rho, sp, cp, sin_a, cos_a, view, layout, coordinates, modes):
     """Texture coordinates (see :data:`LEVEL`) and mip levels of the pixels of a run, and how they are read.
 
-    ``coordinates`` and ``modes`` are written; ``layout`` is that of the texture, the rest as of :func:`_shade_run`.
+    ``coordinates`` and ``modes`` are written; ``layout`` is that of the texture. For ``rho``, ``sp``, ``cp``,
+    ``sin_a``, ``cos_a`` and ``view`` see :func:`_shade_run`.
     """
     find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates)
     _find_texels(coordinates, layout, len(rho))
@@ -346,7 +348,7 @@ def _read_levels(texels, starts, strides, finer, index, shares, scales, confiden
 
     ``starts`` has the offset of each level in ``texels`` and ``strides`` the numbers per row of each; ``index``,
     ``(2, pixels)``, the first texel in both levels; ``shares`` the bilinear weights in the finer level, and a run later
-    in the other one; ``scales`` are those of :func:`_scales`.
+    in the other one; ``scales`` are those of :func:`_scales`, ``confidences`` those of the pixels.
     """
     scale, shift, _, _ = scales
     start, next_start, stride, next_stride = starts[finer], starts[finer + 1], strides[finer], strides[finer + 1]
