@@ -56,16 +56,13 @@ def peak_of_interpolation(job: InterpolationJob, chosen: dict[str, str]) -> int:
 @pytest.mark.parametrize(
     ("count", "size", "chosen"),
     [
-        (2, (256, 512), {"preset": "balanced"}),
-        (2, (1024, 2048), {"preset": "balanced"}),
-        (2, (256, 512), {"preset": "fast"}),
-        (4, (256, 512), {"preset": "fast"}),
+        (2, (256, 512), {"preset": "balanced"}), (2, (1024, 2048), {"preset": "balanced"}),
+        (2, (256, 512), {"preset": "fast"}), (4, (256, 512), {"preset": "fast"}),
         (2, (256, 512), {"depth": "matching", "renderer": "two-pass"}),
-        (2, (256, 512), {"depth": "matching", "renderer": "points"}),
-        (2, (256, 512), {"method": "synsin"}),
+        (2, (256, 512), {"depth": "matching", "renderer": "points"}), (2, (256, 512), {"method": "synsin"}),
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_the_plan_is_within_a_fifth_of_the_peak(tmp_path, count, size, chosen) -> None:
     """From photographs alone: with colours held and on demand, with and without networks and sharpening; of a tour."""
     images = write_hall(tmp_path, [posed((0, 0, 0.3 - 0.6 * k)) for k in range(count)], (256, 512), with_depth=False)

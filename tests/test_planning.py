@@ -151,15 +151,12 @@ def test_what_headers_tell_is_refused_before_anything_is_decoded(tmp_path: Path,
     pair.refuses(ImageError, "at least 4×2")
 
 
-def test_depth_of_some_panoramas_only_is_said_not_to_be_used(tmp_path: Path, pair: Hall) -> None:
+def test_depth_beside_a_model_or_of_some_panoramas_only_is_said_not_to_be_used(tmp_path: Path, pair: Hall) -> None:
+    (note,) = pair.plan(model="completion-balanced").notes
+    assert "unused with --model" in note
     edit_poses(tmp_path, lambda panoramas: panoramas[pair.images[1].name].pop("depth"))
     (note,) = pair.plan().notes
     assert f"for {pair.images[0].name} only" in note
-
-
-def test_depth_beside_a_model_is_said_not_to_be_used(pair: Hall) -> None:
-    (note,) = pair.plan(model="completion-balanced").notes
-    assert "unused with --model" in note
 
 
 def test_a_mask_of_another_size_is_refused_wherever_it_is_in_a_chain(tmp_path: Path, chain: Hall) -> None:

@@ -11,13 +11,10 @@ ROOT_FILES = {".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "READM
 
 # Folders at the root, and the endings of files in them.
 KINDS = {
-    ".ci": {""},
-    "docs": {".md", ".png"},
-    "examples": {".html", ".jpg", ".json", ".md", ".py"},
-    "models": {".md", ".onnx", ".toml"},
-    "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
+    ".ci": {""}, "docs": {".md", ".png"}, "examples": {".html", ".jpg", ".json", ".md", ".py"},
+    "models": {".md", ".onnx", ".toml"}, "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
     "tests": {".json", ".py"},
-}
+}  # fmt: skip
 MOST = 32 << 10  # Bytes of a file whose ending says nothing else: a text that somebody reads.
 # Bytes by ending.
 MOST_OF = {".html": 3 << 20, ".jpg": 768 << 10, ".png": 96 << 10, ".json": 24 << 10, ".onnx": 12 << 20}
@@ -68,13 +65,10 @@ def test_every_expected_place_is_in_use() -> None:
 @pytest.mark.parametrize(
     ("name", "size"),
     [
-        ("t.json", 100),
-        ("src/omnisyn_cli/frames.mp4", 1),
-        ("tests/io/t.json", 100_000),
-        ("notes/a.md", 1),
+        ("t.json", 100), ("src/omnisyn_cli/frames.mp4", 1), ("tests/io/t.json", 100_000), ("notes/a.md", 1),
         ("Makefile", 9),
     ],
-)
+)  # fmt: skip
 def test_a_stray_file_is_found(name: str, size: int) -> None:
     path = PurePosixPath(name)
     assert not (is_expected(path) and is_small(path, size))

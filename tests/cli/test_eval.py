@@ -133,15 +133,12 @@ def test_pairs_can_be_chosen(omnisyn: Omnisyn, scenes: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "code", "message"),
     [
-        (["--methods", "nosuch"], 3, "expected one of crossfade"),
-        (["--format", "zind"], 3, "the layout 'zind'"),
-        (["--format", "nosuch"], 2, "nosuch"),
-        (["--pairs", "x"], 3, "expected pairs"),
-        (["--size", "64x64"], 2, "twice as wide"),
-        (["--lpips", "nosuch.onnx"], 3, "nosuch.onnx"),
+        (["--methods", "nosuch"], 3, "expected one of crossfade"), (["--format", "zind"], 3, "the layout 'zind'"),
+        (["--format", "nosuch"], 2, "nosuch"), (["--pairs", "x"], 3, "expected pairs"),
+        (["--size", "64x64"], 2, "twice as wide"), (["--lpips", "nosuch.onnx"], 3, "nosuch.onnx"),
         (["--report", "/dev/null/report"], 3, "expected a folder for the report"),
     ],
-)
+)  # fmt: skip
 def test_wrong_options_are_explained(omnisyn: Omnisyn, scenes: Path, more: list[str], code: int, message: str) -> None:
     result = omnisyn("eval", scenes, "--threads", 1, *more)
     assert (result.code, result.out) == (code, "")

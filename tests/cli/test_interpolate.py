@@ -177,13 +177,10 @@ BAD_OUTPUT = {
 
 
 FOLDERS = {
-    "walk_1.5m": ("walk_1.5m", "--codec", "png"),
-    "walk.final": ("walk.final", "--codec", "png"),
-    "frames.v2": ("frames.v2/",),
-    "frames.mp4": ("frames.mp4/",),
-    "frames.2024": ("out", "--save-frames", "frames.2024"),
-    "frames.new": ("out", "--save-frames", "frames.new/"),
-}
+    "walk_1.5m": ("walk_1.5m", "--codec", "png"), "walk.final": ("walk.final", "--codec", "png"),
+    "frames.v2": ("frames.v2/",), "frames.mp4": ("frames.mp4/",),
+    "frames.2024": ("out", "--save-frames", "frames.2024"), "frames.new": ("out", "--save-frames", "frames.new/"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

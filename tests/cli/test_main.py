@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -146,38 +145,6 @@ def test_errors_become_one_line_and_an_exit_code(omnisyn: Omnisyn, monkeypatch: 
     told = json.loads(omnisyn.ended(code, "info", "a.jpg", "--json").out)
     assert told["exit_code"] == code
     assert words.strip().replace("\n", " ").removeprefix("omnisyn: ") in told["error"]
-
-
-# The main thread never gives Python's lock away, like a library that waits for its own threads.
-ABORTED = """
-import ctypes, sys
-from omnisyn_cli.cli.aborts import CXX_LIBRARY, explain_memory_aborts
-explain_memory_aborts()
-sys.setswitchinterval(3600)
-thread, system = ctypes.c_void_p(), ctypes.PyDLL(None)
-system.pthread_create(ctypes.byref(thread), None, ctypes.CDLL(CXX_LIBRARY)[sys.argv[1]], None)
-system.pthread_join(thread, None)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="another C++")
-@pytest.mark.parametrize(
-    ("thrown", "code", "words"),
-    [
-        (
-            "_ZSt17__throw_bad_allocv",
-            1,
-            "omnisyn: expected enough memory, got no more memory or threads; try a smaller",
-        ),
-        ("_ZSt16__throw_bad_castv", -signal.SIGABRT, "terminate called after throwing an instance of 'std::bad_cast'"),
-    ],
-)
-def test_memory_that_runs_out_in_a_thread_of_a_library_is_one_line(thrown: str, code: int, words: str) -> None:
-    """What nobody catches ends the program; other exceptions of C++ keep their own words."""
-    command = [sys.executable, "-c", ABORTED, thrown]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert ended.returncode == code
-    assert ended.stderr.startswith(words)
 
 
 def every_command(group: click.Group, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

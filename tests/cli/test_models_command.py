@@ -16,15 +16,16 @@ from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.runtime.models import (
+    MANIFEST,
     ModelEntry,
     added_models_folder,
     find_model,
+    manifest_text,
     models_folder,
     read_manifest,
     sha256_of,
 )
 from omnisyn_cli.training.checkpoint import save_checkpoint
-from omnisyn_cli.training.publish import write_manifest
 from omnisyn_cli.training.tasks import TASKS
 
 
@@ -74,7 +75,7 @@ def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
     (tmp_path / "a.onnx").write_bytes(b"weights")
     digest = sha256_of(tmp_path / "a.onnx")
     entry = ModelEntry("a", "refine", "v", "a.onnx", digest, (2, 4), 7, "scenes", "MIT", {"delta_25": 0.5})
-    write_manifest(tmp_path, {"a": entry})
+    (tmp_path / MANIFEST).write_text(manifest_text({"a": entry}), encoding="utf-8")
     result = CliRunner().invoke(models, [str(tmp_path)])
     assert result.output.splitlines() == [
         "name  role    size  parameters  hours  purpose",
@@ -138,34 +139,14 @@ def test_a_network_is_replaced_on_demand_only(own, omnisyn) -> None:
     assert sha256_of(find_model("mine", added_models_folder())) == sha256_of(own)
 
 
-def write_checkpoint(path: Path, kind: str = "fusion", variant: str = "residual", step: int = 1200) -> None:
+def write_checkpoint(path: Path) -> None:
     """One of a run, whose network has random weights."""
-    task = TASKS[kind]
-    config = task.variants[variant]
+    task = TASKS["fusion"]
+    config = task.variants["residual"]
     torch.manual_seed(0)
     network = task.build(config)
-    state = {"kind": kind, "network": asdict(config), "training": {"size": (64, 128)}, "step": step}
+    state = {"kind": "fusion", "network": asdict(config), "training": {"size": (64, 128)}, "step": 1200}
     save_checkpoint(path, {**state, "average": network.state_dict()})
-
-
-def test_without_a_checkpoint_those_are_listed_that_there_are(
-    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In runs below this folder and in folders of checkpoints; what is no checkpoint is passed over."""
-    monkeypatch.chdir(tmp_path)
-    empty = omnisyn.quiet("export-onnx")
-    assert empty.out.startswith("no checkpoints here\n")
-    for kind, task in TASKS.items():
-        assert f"    {kind}: {', '.join(task.variants)}" in empty.out
-    write_checkpoint(tmp_path / "runs" / "one" / "checkpoint.pt")
-    write_checkpoint(tmp_path / "models" / "checkpoints" / "kept.pt", step=7)
-    (tmp_path / "photo.pt").write_bytes(b"no checkpoint")
-    found = omnisyn.made("export-onnx")
-    assert found.out.splitlines()[:3] == [
-        "`omnisyn export-onnx PATH` writes one of these:",
-        f"    {Path('models/checkpoints/kept.pt')}: fusion residual, 7 steps",
-        f"    {Path('runs/one/checkpoint.pt')}: fusion residual, 1,200 steps",
-    ]
 
 
 def test_a_model_comes_to_lie_beside_its_checkpoint_and_over_no_other_one(tmp_path: Path, omnisyn: Omnisyn) -> None:

@@ -168,20 +168,9 @@ def test_the_csv_file_has_every_figure_once(tmp_path):
     assert len({tuple(row.values())[:-1] for row in rows}) == len(rows)
     subjects = {row["subject"] for row in rows}
     assert subjects == {
-        "frame",
-        "kind-psnr",
-        "kind-area",
-        "kind-error",
-        "depth",
-        "depth-weighted",
-        "doubt",
-        "reliability-area",
-        "reliability-confidence",
-        "reliability-within_5",
-        "reliability-within_10",
-        "temporal",
-        "seconds",
-    }
+        "frame", "kind-psnr", "kind-area", "kind-error", "depth", "depth-weighted", "doubt", "reliability-area",
+        "reliability-confidence", "reliability-within_5", "reliability-within_10", "temporal", "seconds",
+    }  # fmt: skip
 
 
 def test_the_json_file_is_strict_and_has_all_records(tmp_path):

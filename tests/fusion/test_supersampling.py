@@ -274,16 +274,11 @@ def test_every_pixel_is_of_one_kind() -> None:
     ("first", "second", "weight", "kind"),
     [
         (1.0, 1.0 - 0.99 * SAME_SURFACE_TOLERANCE, 1.0, "agree"),
-        (1.0, 1.0 - 1.01 * SAME_SURFACE_TOLERANCE, 1.0, "disagree"),
-        (0.0, 0.0, 1.0, "agree"),
-        (0.0, 1e-8, 1.0, "agree"),
-        (0.0, 0.01, 1.0, "disagree"),
-        (0.0, -1.0, 1.0, "one_view"),
-        (-1.0, 0.5, 1.0, "one_view"),
-        (-1.0, -1.0, 1.0, "hole"),
-        (0.5, -1.0, MIN_VISIBLE_WEIGHT / 2, "hole"),
+        (1.0, 1.0 - 1.01 * SAME_SURFACE_TOLERANCE, 1.0, "disagree"), (0.0, 0.0, 1.0, "agree"),
+        (0.0, 1e-8, 1.0, "agree"), (0.0, 0.01, 1.0, "disagree"), (0.0, -1.0, 1.0, "one_view"),
+        (-1.0, 0.5, 1.0, "one_view"), (-1.0, -1.0, 1.0, "hole"), (0.5, -1.0, MIN_VISIBLE_WEIGHT / 2, "hole"),
     ],
-)
+)  # fmt: skip
 def test_kinds_at_their_limits(first: float, second: float, weight: float, kind: str) -> None:
     """Infinity agrees with infinity, and a colour without weight is none."""
     kinds = classify_pixels(*(rendering(np.full((1, 2), rho), weight) for rho in (first, second)))

@@ -30,24 +30,12 @@ def targets() -> dict[str, Callable[[], Target]]:
     meshes = {f"mesh {suffix}": partial(_mesh, suffix) for suffix in ("obj", "glb", "ply")}
     foreign = {f"poses {name}": partial(_foreign, name) for name in FOREIGN}
     return {
-        "poses.json": _poses,
-        **images,
-        "depth exr": partial(_depth, "a.exr", "float32"),
-        "depth png": partial(_depth, "a.png", "uint16"),
-        "onnx": _onnx,
-        "models manifest": _models,
-        "batch jsonl": partial(_batch, "jsonl"),
-        "batch csv": partial(_batch, "csv"),
-        "batch results": _batch_results,
-        "eval results": _eval_results,
-        "image avif": _avif,
-        "request of serve": _request,
-        "spherical mp4": _spherical,
-        "recipe toml": _recipe,
-        "table of costs": _costs,
-        **meshes,
-        **foreign,
-    }
+        "poses.json": _poses, **images, "depth exr": partial(_depth, "a.exr", "float32"),
+        "depth png": partial(_depth, "a.png", "uint16"), "onnx": _onnx, "models manifest": _models,
+        "batch jsonl": partial(_batch, "jsonl"), "batch csv": partial(_batch, "csv"), "batch results": _batch_results,
+        "eval results": _eval_results, "image avif": _avif, "request of serve": _request, "spherical mp4": _spherical,
+        "recipe toml": _recipe, "table of costs": _costs, **meshes, **foreign,
+    }  # fmt: skip
 
 
 def _json(value: Any) -> bytes:

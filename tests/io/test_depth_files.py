@@ -118,12 +118,8 @@ def test_what_is_no_depth_is_an_image_error(tmp_path):
     write_image(tmp_path / "grey.png", np.zeros((4, 8), np.uint8))
     write_with(tmp_path / "rgb.exr", np.zeros((4, 8, 3), np.float32))
     write_depth(tmp_path / "square.exr", np.ones((8, 8), np.float32))
-    for name, words in [
-        ("rgb.png", "channel Z"),
-        ("grey.png", "16-bit"),
-        ("rgb.exr", "channel Z"),
-        ("square.exr", "8×8"),
-    ]:
+    wrong = {"rgb.png": "channel Z", "grey.png": "16-bit", "rgb.exr": "channel Z", "square.exr": "8×8"}
+    for name, words in wrong.items():
         with pytest.raises(ImageError, match=words):
             read_depth(tmp_path / name)
 

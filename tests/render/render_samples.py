@@ -14,12 +14,9 @@ from omnisyn_cli.render.texture import Texture
 
 WHOLE = Cut(relative=None)
 CUTS = {
-    "whole": WHOLE,
-    "default": Cut(),
-    "coarse": Cut(relative=0.4),
-    "metres": Cut(relative=None, metres=2.0),
+    "whole": WHOLE, "default": Cut(), "coarse": Cut(relative=0.4), "metres": Cut(relative=None, metres=2.0),
     "everywhere": Cut(relative=1e-9),
-}
+}  # fmt: skip
 
 
 def shade(
@@ -71,15 +68,12 @@ def random_pose(seed: int, distance: float) -> Pose:
 
 
 POSES = {
-    "identity": Pose.identity(),
-    "forward": moved(0.0, 0.0, 1.0),
-    "up": moved(0.0, -1.5, 0.0),
+    "identity": Pose.identity(), "forward": moved(0.0, 0.0, 1.0), "up": moved(0.0, -1.5, 0.0),
     "down and half round": moved(0.0, 1.0, 0.0, rotation=turn(0.0, math.pi, 0.0)),
     "upside down": moved(0.3, 0.0, 0.2, rotation=turn(math.pi, 0.0, 0.0)),
-    "poles on the horizon": moved(0.0, 0.5, 0.5, rotation=turn(math.pi / 2, 0.0, 0.0)),
-    "any": random_pose(3, 0.7),
+    "poles on the horizon": moved(0.0, 0.5, 0.5, rotation=turn(math.pi / 2, 0.0, 0.0)), "any": random_pose(3, 0.7),
     "outside": random_pose(4, 12.0),
-}
+}  # fmt: skip
 
 
 def is_unambiguous(triangles: Triangles, pose: Pose, size: tuple[int, int], margin: float = 1e-5) -> np.ndarray:

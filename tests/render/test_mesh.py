@@ -131,13 +131,10 @@ def test_a_mask_of_vertices_loses_no_usable_pixel(size):
 @pytest.mark.parametrize(
     ("rho", "message"),
     [
-        (np.ones((1, 4)), "at least 2×2"),
-        (np.ones(4), "at least 2×2"),
-        (np.full((4, 8), np.nan), "finite"),
-        (np.full((4, 8), np.inf), "finite"),
-        (np.full((4, 8), -0.1), ">= 0"),
+        (np.ones((1, 4)), "at least 2×2"), (np.ones(4), "at least 2×2"), (np.full((4, 8), np.nan), "finite"),
+        (np.full((4, 8), np.inf), "finite"), (np.full((4, 8), -0.1), ">= 0"),
     ],
-)
+)  # fmt: skip
 def test_inverse_depths_that_are_none_are_refused(rho, message):
     with pytest.raises(ValueError, match=message):
         build_mesh(rho)

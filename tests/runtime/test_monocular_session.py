@@ -60,12 +60,9 @@ def opened(path: Path, words: str = "") -> MonocularSession:
 @pytest.mark.parametrize(
     ("shape", "words", "size", "is_panoramic"),
     [
-        ((1, 3, 16, 32), "", (16, 32), True),
-        ((1, 3, 16, 16), "", (16, 16), False),
-        ((1, 3, 16, 32), "perspective", (16, 32), False),
-        ((1, 3, "rows", "cols"), "panorama", (448, 896), True),
-        (("batch", 3, "rows", "cols"), "perspective", (448, 448), False),
-        ((1, 16, 32, 3), "", (16, 32), True),
+        ((1, 3, 16, 32), "", (16, 32), True), ((1, 3, 16, 16), "", (16, 16), False),
+        ((1, 3, 16, 32), "perspective", (16, 32), False), ((1, 3, "rows", "cols"), "panorama", (448, 896), True),
+        (("batch", 3, "rows", "cols"), "perspective", (448, 448), False), ((1, 16, 32, 3), "", (16, 32), True),
     ],
 )  # fmt: skip
 def test_the_file_or_the_user_says_what_a_network_sees(tmp_path, shape, words, size, is_panoramic) -> None:
@@ -99,16 +96,14 @@ def test_pictures_are_normalized_on_request(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "words", "reason"),
     [
-        ({"inputs": 2}, "", "one picture of 3 channels"),
-        ({"shape": (1, 5, 16, 32)}, "", "one picture of 3 channels"),
+        ({"inputs": 2}, "", "one picture of 3 channels"), ({"shape": (1, 5, 16, 32)}, "", "one picture of 3 channels"),
         ({"shape": (3, 16, 32), "nodes": [("Abs", {})]}, "", "one picture of 3 channels"),
         ({"kind": TensorProto.INT32, "nodes": [("Abs", {})]}, "", "one picture of 3 channels"),
         ({"shape": (1, 3, "rows", "cols")}, "", "--depth-prior-kind panorama or perspective"),
         ({"constant": np.full((1, 1, 16, 32), 3.0)}, "", "varies, got 3 everywhere"),
         ({"constant": np.full((1, 1, 16, 32), np.nan)}, "", "finite"),
         ({"constant": np.ones((1, 1, 16, 16))}, "", "as wide to high"),
-        ({"constant": np.ones((1, 7))}, "", "as wide to high"),
-        ({}, "points", "expected a map of points"),
+        ({"constant": np.ones((1, 7))}, "", "as wide to high"), ({}, "points", "expected a map of points"),
     ],
 )  # fmt: skip
 def test_what_is_no_depth_network_is_refused(tmp_path: Path, settings: dict, words: str, reason: str) -> None:

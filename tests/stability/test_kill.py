@@ -142,17 +142,14 @@ FRAMES = command_line("interpolate", *PAIR, "-o", "frames", "--frames", 12)
 ESTIMATE = command_line("poses", "estimate", "first.png", "second.png", "--baseline", 1, "-o", "poses.json", "-q")
 BATCH = command_line("batch", "jobs.jsonl", "-o", "out", "--workers", 1, "-q")
 CASES = {
-    "export": Case(_hall, EXPORT, EXPORT),
-    "frames": Case(_hall, FRAMES, FRAMES),
-    "poses estimate": Case(_photographs, ESTIMATE, ESTIMATE),
-    "batch": Case(_jobs, BATCH, BATCH, is_same_bytes=False),
-    "view": Case(_hall, VIEW, VIEW),
-    "view --folder": Case(_hall, FOLDER, FOLDER),
+    "export": Case(_hall, EXPORT, EXPORT), "frames": Case(_hall, FRAMES, FRAMES),
+    "poses estimate": Case(_photographs, ESTIMATE, ESTIMATE), "batch": Case(_jobs, BATCH, BATCH, is_same_bytes=False),
+    "view": Case(_hall, VIEW, VIEW), "view --folder": Case(_hall, FOLDER, FOLDER),
     "interpolate": Case(_hall, INTERPOLATE, [*INTERPOLATE, "--overwrite"]),
     "scenes make": Case(lambda folder: None, MAKE, [*MAKE, "--overwrite"]),
     "eval": Case(_scenes, EVAL, EVAL, is_same_bytes=False),
     "train": Case(_pool, *[[sys.executable, "-c", TRAIN, "pool", "run"]] * 2, is_same_bytes=False),
-}
+}  # fmt: skip
 
 
 def check_whole(name: str, content: bytes, path: Path) -> None:

@@ -189,18 +189,12 @@ def test_pictures_from_one_panorama_and_from_two_differ(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "option"),
     [
-        ({"preset": "fast"}, "preset"),
-        ({"depth": "matching"}, "depth"),
-        ({"model": "completion-balanced"}, "model"),
-        ({"renderer": "two-pass"}, "renderer"),
-        ({"cut": 0.1}, "cut"),
-        ({"fusion": "network"}, "fusion"),
-        ({"adaptive": True}, "adaptive"),
-        ({"fallback": "crossfade"}, "fallback"),
-        ({"save_depth": Path("depth")}, "save-depth"),
-        ({"save_confidence": Path("confidence.mp4")}, "save-confidence"),
+        ({"preset": "fast"}, "preset"), ({"depth": "matching"}, "depth"), ({"model": "completion-balanced"}, "model"),
+        ({"renderer": "two-pass"}, "renderer"), ({"cut": 0.1}, "cut"), ({"fusion": "network"}, "fusion"),
+        ({"adaptive": True}, "adaptive"), ({"fallback": "crossfade"}, "fallback"),
+        ({"save_depth": Path("depth")}, "save-depth"), ({"save_confidence": Path("confidence.mp4")}, "save-confidence"),
     ],
-)
+)  # fmt: skip
 def test_what_means_nothing_to_synsin_is_refused(tmp_path: Path, changes: dict[str, object], option: str) -> None:
     job = job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), method="synsin", **changes)
     with pytest.raises(InputError, match=f"expected no {option} with the method synsin"):

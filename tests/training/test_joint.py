@@ -74,19 +74,11 @@ def test_planes_are_those_of_the_program(t):
 
     expected = fusion_input_channels(own, other, rule, 1.0, fill)
     found = fusion_input_channels(as_seen(first), as_seen(second), rule, 1.0, joint.filled).numpy()
-    for name in (
-        "FIRST_RGB",
-        "SECOND_RGB",
-        "FUSED_RGB",
-        "BLEND_WEIGHTS",
-        "SQRT_INVERSE_DEPTHS",
-        "LOG_WEIGHT_RATIO",
-        "DEPTH_GAP",
-        "SEEN_MASKS",
-        "RELEVANCE",
-        "PATH_POSITION",
-        "LATITUDE",
-    ):
+    names = (
+        "FIRST_RGB", "SECOND_RGB", "FUSED_RGB", "BLEND_WEIGHTS", "SQRT_INVERSE_DEPTHS", "LOG_WEIGHT_RATIO", "DEPTH_GAP",
+        "SEEN_MASKS", "RELEVANCE", "PATH_POSITION", "LATITUDE",
+    )  # fmt: skip
+    for name in names:
         which = slice(getattr(channel, name), getattr(channel, name) + 2)
         np.testing.assert_allclose(found[which], expected[which], atol=3e-3, err_msg=name)
 
@@ -230,17 +222,8 @@ def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, co
     held = part_of(tmp_path / "run" / "checkpoint.pt", ("paper",)).state_dict()
     for name, value in depth.average.items():
         torch.testing.assert_close(held[name], value, rtol=2e-3, atol=1e-4)
-    again = run(
-        "joint",
-        tmp_path / "two",
-        *pools,
-        "--depth",
-        tmp_path / "run" / "checkpoint.pt",
-        "--fusion",
-        "tiny",
-        "--steps",
-        1,
-    )
+    begun = tmp_path / "run" / "checkpoint.pt"
+    again = run("joint", tmp_path / "two", *pools, "--depth", begun, "--fusion", "tiny", "--steps", 1)
     assert again.exit_code == 0, again.output
     assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("paper",)).state_dict(), held)
 

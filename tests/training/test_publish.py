@@ -9,10 +9,10 @@ from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError, OmnisynError, OutputPathError
 from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
-from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, find_model, manifest_text, read_manifest
 from omnisyn_cli.training.checkpoint import load_network
 from omnisyn_cli.training.loop import train
-from omnisyn_cli.training.publish import publish, write_manifest
+from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig
 from synsin_samples import TINY_SIZE, write_synsin_models
 
@@ -56,7 +56,7 @@ def test_a_manifest_survives_the_disk(tmp_path):
         )
         for name in ("a", "b")
     }
-    write_manifest(tmp_path, entries)
+    (tmp_path / MANIFEST).write_text(manifest_text(entries), encoding="utf-8")
     assert read_manifest(tmp_path) == entries
 
 

@@ -131,14 +131,11 @@ def test_a_recipe_reads_back(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        (("height = 64", "heigth = 64"), "heigth"),
-        (("height = 32", "height = 48"), "multiples of 32"),
-        (('"small"', '"large"'), "expected a variant"),
-        (("steps = 4", "steps = 0"), "steps"),
-        (("[[stages]]", "[stages]"), "expected a recipe"),
-        (("rate = 1e-3", "rate = "), "expected a recipe"),
+        (("height = 64", "heigth = 64"), "heigth"), (("height = 32", "height = 48"), "multiples of 32"),
+        (('"small"', '"large"'), "expected a variant"), (("steps = 4", "steps = 0"), "steps"),
+        (("[[stages]]", "[stages]"), "expected a recipe"), (("rate = 1e-3", "rate = "), "expected a recipe"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_with_a_recipe_is_said(tmp_path, changed, said):
     path = tmp_path / "recipe.toml"
     path.write_text(RECIPE.replace(*changed))

@@ -117,14 +117,11 @@ def optical_flow(
     if height < MIN_FLOW_ROWS:
         return np.zeros((height, width, 2), np.float32)
     border = height // 4
-    grey = [add_border(cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY), border) for image in (first, second)]
+    samples = [np.asarray(np.rint(np.clip(image, 0, 1) * 255), np.uint8) for image in (first, second)]
+    grey = [add_border(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), border) for image in samples]
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow = search.calc(grey[0], grey[1], np.zeros((*grey[0].shape, 2), np.float32))
     return np.ascontiguousarray(flow[border : border + height, border : border + width, ::-1], np.float32)
-
-
-def _bytes(image: np.ndarray) -> np.ndarray:
-    return np.asarray(np.rint(np.clip(image, 0, 1) * 255), np.uint8)
 
 
 def moved(image: np.ndarray, flow: np.ndarray) -> Float32[np.ndarray, "height width 3"]:

@@ -13,21 +13,11 @@ NO_POINT = -1  # index that says that no further point covers a pixel
 def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, points, begin, end):
     """Cosine and sine of the polar angle, column and inverse depth in the target, for source rows of points.
 
-    Points that are masked or lie at the target's centre get a negative inverse depth.
-
-    Args:
-        rho: ``(height, width)`` inverse depth of the source, 1/metre.
-        mask: of the same shape; which pixels are points.
-        sin_p: sine of the polar angle, per source row.
-        cos_p: its cosine.
-        sin_a: sine of the azimuth, per source column.
-        cos_a: its cosine.
-        rotation: of the target camera from the source camera.
-        t: translation of the same, metres.
-        scale: of the target, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
-        points: written, ``(height, width, 4)``.
-        begin: first source row.
-        end: the row after the last.
+    They are written into ``points``, ``(height, width, 4)``, for source rows from ``begin`` to before ``end``; points
+    that are masked or lie at the target's centre get a negative inverse depth. ``rho`` is the inverse depth of the
+    source, 1/metre, ``mask`` tells which pixels are points. ``sin_p`` and ``cos_p`` are of the polar angle per source
+    row, ``sin_a`` and ``cos_a`` of the azimuth per column; ``rotation`` and ``t`` (metres) of the target camera from
+    the source camera; ``scale`` is the target's, see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
     """
     width = rho.shape[1]
     for row in range(begin, end):
@@ -93,17 +83,11 @@ def list_points(points, order, radius, sin_p, cos_p, found, begin, end):
 def composite(points, found, features, radius, floor, sin_p, cos_p, out, begin, end):
     """Blend the listed points from front to back; the last channel of ``out`` gets the opacity of all together.
 
-    Args:
-        points: ``(points, 4)`` from :func:`project_points`.
-        found: ``(height, width, most)`` their indices, front to back, :data:`NO_POINT` after the last.
-        features: ``(points, channels)``.
-        radius: of the discs, radians.
-        floor: least squared distance from a disc's centre over its squared radius, which bounds the opacity below 1.
-        sin_p: sine of the polar angle, per target row.
-        cos_p: its cosine.
-        out: written, ``(height, width, channels + 1)``.
-        begin: first target row.
-        end: the row after the last.
+    ``points`` are those of :func:`project_points`; ``found`` has their indices, ``(height, width, most)``, front to
+    back, :data:`NO_POINT` after the last; ``features`` are ``(points, channels)``. Discs have a ``radius`` in radians;
+    ``floor`` is the least squared distance from a disc's centre over its squared radius, which bounds the opacity below
+    1. ``sin_p`` and ``cos_p`` are of the polar angle per target row; rows from ``begin`` to before ``end`` of ``out``,
+    ``(height, width, channels + 1)``, are written.
     """
     width, most = found.shape[1], found.shape[2]
     channels = features.shape[1]

@@ -80,14 +80,11 @@ class BatchReport:
         """The report as plain values, for JSON; records of jobs that went well are in the file of records."""
         versions = sorted({str(record.get("version", "unknown")) for record in self.kept} - {__version__})
         return {
-            "done": len(self.done),
-            "kept": len(self.kept),
-            "failed": len(self.failed),
-            "seconds": round(self.seconds, 3),
-            "job_seconds": round(sum(record["seconds"] for record in self.done), 3),
+            "done": len(self.done), "kept": len(self.kept), "failed": len(self.failed),
+            "seconds": round(self.seconds, 3), "job_seconds": round(sum(record["seconds"] for record in self.done), 3),
             "kept_from_versions": versions,
             "failures": [{key: record.get(key) for key in ("id", "error", "attempts")} for record in self.failed],
-        }
+        }  # fmt: skip
 
 
 def run_batch(

@@ -1,13 +1,4 @@
-"""The manifest of a batch: one job a line, JSONL or CSV, checked whole before anything starts.
-
-A line has an ``id``, the panoramas, and any option of ``omnisyn interpolate`` under its long name with underscores::
-
-    {"id": "a-b", "inputs": ["a.jpg", "b.jpg"], "poses": "poses.json", "frames": 60, "size": "2048x1024"}
-    {"id": "hall", "scene": "scenes/hall", "output": "hall.mov", "codec": "prores"}
-
-File names are relative to the manifest, outputs to the folder of the batch, angles are degrees. In CSV the first line
-names the columns, empty cells are left out and ``inputs`` and ``masks`` are separated by ``;``.
-"""
+"""The manifest of a batch: a job a line, JSONL or CSV, checked whole before anything starts; see ``docs/batch.md``."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +10,7 @@ from pydantic import ValidationError
 
 from omnisyn_cli.batch.schema import LINE_FIELDS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.interpolation.checks import check_choices, check_method, check_names
+from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import (
     FACES,
     INPUT_FILES,
@@ -145,7 +136,6 @@ class _Reader:
             for image in images:
                 pose_file.of(image)
         options = line.model_dump(exclude=set(LINE_FIELDS), exclude_defaults=True)
-        _check_together(options, is_found=pose_file is None)
         for key in options.keys() & {*INPUT_LISTS}:
             options[key] = [
                 name if name == str(FACES) else str(self._file(self._folder / name, "a mask")) for name in options[key]
@@ -218,26 +208,15 @@ def _ends(poses: PoseFile | None) -> list[str]:
     return [names[0], names[-1]]
 
 
-def _check_together(options: dict[str, Any], *, is_found: bool) -> None:
-    """What options say together."""
-    if "frames" in options and "duration" in options:
-        raise InputError("expected either frames or a duration, got both; name one")
-    for name in ("baseline", "camera_height"):
-        if name in options and not is_found:
-            raise InputError(f"expected a {name} only where poses are found in the pictures, got a pose file; name one")
-    if "size" in options:
-        width, _, height = options["size"].partition("x")
-        if int(width) != 2 * int(height):
-            raise InputError(f"expected a size twice as wide as high, got {options['size']}; try 2048x1024")
-
-
 def _check_feasible(job: InterpolationJob) -> None:
     """What can be refused without a look at the panoramas; a size that follows from them is always an even one."""
-    check_names(job)
-    check_choices(job)
-    check_method(job)
+    checks.check_names(job)
+    checks.check_choices(job)
+    checks.check_method(job)
+    checks.check_pose_options(job)
     frame_count(job)
     size = job.size or MIN_EVEN_SIZE
+    checks.check_shape(job, size)
     for place, encoding in targets(job).items():
         check_encoding(place, size=size, **encoding)
     if job.save_confidence is not None:

@@ -133,11 +133,9 @@ def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, 
                 pair = [names[first], names[second]]
                 yield {
                     "id": scene + "-".join(_safe_name(Path(name).stem) for name in pair),
-                    "inputs": [file.parent / name for name in pair],
-                    "poses": file,
-                    "group": f"{scene}walk-{number}",
+                    "inputs": [file.parent / name for name in pair], "poses": file, "group": f"{scene}walk-{number}",
                     **options.options,
-                }
+                }  # fmt: skip
 
 
 def _safe_name(name: str) -> str:

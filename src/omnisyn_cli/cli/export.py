@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -80,21 +79,15 @@ def export(
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
     job = ExportJob(format=format, texture=texture, stride=stride, sky=sky, dome=dome, clips=clips, **given)
-    run_job(job, plan_export, _load, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run, quiet=quiet)
+    run_job(job, plan_export, "export.run:run_export", _report, as_json=as_json, dry_run=dry_run, quiet=quiet)
 
 
-def _load() -> Callable[..., ExportSummary]:
-    from omnisyn_cli.interpolation.export.run import run_export
-
-    return run_export
-
-
-def _said(summary: ExportSummary) -> str:
-    """What was written, in one line."""
+def _report(summary: ExportSummary) -> None:
+    """Say what was written, in one line."""
     plan, made, form = summary.plan, summary.results, summary.plan.format
     what = f"{made['points']:,} {'discs' if form == 'splats' else 'points'}"
     if made["triangles"]:
         what = f"{made['triangles']:,} triangles"
     elif form in VIEWERS:
         what = f"{made['links']:,} link{'s' * (made['links'] != 1)}"
-    return f"{plan.job.output}: {what} of {len(plan.entries)} panoramas in {summary.seconds['total']:.1f} s"
+    say(f"{plan.job.output}: {what} of {len(plan.entries)} panoramas in {summary.seconds['total']:.1f} s")

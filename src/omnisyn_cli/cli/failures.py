@@ -42,7 +42,8 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
         case KeyboardInterrupt() | click.Abort():
             return "interrupted; nothing was left half written", EXIT_INTERRUPT
     if sign := next(_signs_of_memory(error), ""):
-        return memory_failure(sign), EXIT_FAILURE
+        remedy = "try a smaller --size or fewer --threads (see --dry-run)"
+        return f"expected enough memory, got {sign}; {remedy}", EXIT_FAILURE
     match error:
         case ImportError(name=str() as name) if extra := EXTRAS.get(name.split(".")[0]):
             remedy = f"python -m pip install 'omnisyn-cli[{extra}]'"
@@ -50,11 +51,6 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
         case OSError():
             return _about(error), EXIT_FAILURE
     return None
-
-
-def memory_failure(sign: str) -> str:
-    """What to say where memory has run out; ``sign`` says how that was noticed."""
-    return f"expected enough memory, got {sign}; try a smaller --size or fewer --threads (see --dry-run)"
 
 
 def _signs_of_memory(error: BaseException | None) -> Iterator[str]:

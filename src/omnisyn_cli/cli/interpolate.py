@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -179,7 +178,6 @@ def interpolate(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.configs import check_device
     from omnisyn_cli.interpolation.inputs import video_ending
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.plan import plan_interpolation
@@ -199,11 +197,10 @@ def interpolate(
             from omnisyn_cli.interpolation.planning.duration import apply_budget
 
             plan = apply_budget(plan, budget)
-        check_device(plan.config)
         return plan
 
     run_job(
-        InterpolationJob(**given), plan_of, _load,
+        InterpolationJob(**given), plan_of, "run:run_interpolation",
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
         expected=_expected, frames=lambda plan: len(plan.path), is_report_possible=every is None,
     )  # fmt: skip
@@ -235,12 +232,6 @@ def _frames_of_video(options: dict[str, Any], every: float | None) -> dict[str, 
     check_kept([output], [video])
     frames = click.get_current_context().with_resource(frames_of_video(video, every))
     return {"images": frames, "poses": options["poses"] or Path("auto"), "output": output}
-
-
-def _load() -> Callable[..., Summary]:
-    from omnisyn_cli.interpolation.run import run_interpolation
-
-    return run_interpolation
 
 
 def _expected(plan: InterpolationPlan) -> dict[str, Any]:

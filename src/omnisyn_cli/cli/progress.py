@@ -97,12 +97,9 @@ def counted_bar(
 
 # What is said of each stage, in order.
 STAGES: Mapping[str, str] = {
-    "poses": "finding poses",
-    "reading": "reading panoramas",
-    "depth": "finding depth",
-    "frames": "making frames",
+    "poses": "finding poses", "reading": "reading panoramas", "depth": "finding depth", "frames": "making frames",
     "writing": "writing",
-}
+}  # fmt: skip
 UNCOUNTED_STAGES = ("poses", "reading")  # stages that are over when the next one begins
 # The stage that a time of :class:`omnisyn_cli.compute.stopwatch.Stopwatch` belongs to.
 STAGE_OF_CLOCK: Mapping[str, str] = {"decode": "reading", "depth": "depth", "pack": "writing", "write": "writing"}

@@ -20,23 +20,18 @@ S = TypeVar("S", bound="TourSummary")
 
 
 def run_job(
-    job: J,
-    plan_of: Callable[[J], P],
-    load: Callable[[], Callable[[P, Callable[[int], None] | None], S]],
-    report: Callable[[S], None],
-    *,
-    as_json: bool,
-    dry_run: bool,
-    quiet: bool,
-    expected: Callable[[P], Mapping[str, Any]] = lambda plan: {},
-    frames: Callable[[P], int] = lambda plan: 0,
-    is_report_possible: bool = True,
-) -> S | None:
+    job: J, plan_of: Callable[[J], P], function: str, report: Callable[[S], None], *, as_json: bool, dry_run: bool,
+    quiet: bool, expected: Callable[[P], Mapping[str, Any]] = lambda plan: {},
+    frames: Callable[[P], int] = lambda plan: 0, is_report_possible: bool = True,
+) -> S | None:  # fmt: skip
     """Plan a job by ``plan_of``, print the plan and stop, or carry it out, and print by ``report`` what was done.
 
-    ``load`` imports what carries it out, which is called with the plan and what counts its ``frames``. ``expected`` is
-    what else is said of the plan. The report is possible if panoramas are still there when the command has ended.
+    ``function`` has the module and name of what carries it out, which is called with the plan and what counts its
+    ``frames``. ``expected`` is what else is said of the plan. The report is possible if panoramas are still there when
+    the command has ended.
     """
+    from pkgutil import resolve_name
+
     from omnisyn_cli.interpolation.job import OUTPUTS, POSES_FROM_PICTURES
     from omnisyn_cli.interpolation.planning.prior import with_prior_cost
     from omnisyn_cli.io.outputs import TEMPORARY_PREFIX, claimed
@@ -58,19 +53,17 @@ def run_job(
             if as_json or not quiet:
                 _print_plan(values, plan.in_words(values), as_json=as_json)
             return None
-        from omnisyn_cli.cli.aborts import explain_memory_aborts
         from omnisyn_cli.compute.jit import while_compiling
         from omnisyn_cli.compute.stopwatch import while_timing
         from omnisyn_cli.interpolation.configs import check_device
 
-        explain_memory_aborts()
         check_device(plan.config)
         stages.log(plan.in_words(values))
         count = frames(plan)
         stages.expect(reading=len(plan.entries), depth=len(plan.pairs), **({"frames": count} if count else {}))
         is_unsaid = quiet or stages.has_bars  # which say it themselves
         with say_when_compiling(is_quiet=is_unsaid), while_compiling(stages.compile):
-            run = load()
+            run: Callable[[P, Callable[[int], None]], S] = resolve_name(f"omnisyn_cli.interpolation.{function}")
             from omnisyn_cli.interpolation.kernel_warm_up import compiling_beside
 
             with while_timing(stages.time), compiling_beside(job.threads):

@@ -69,7 +69,7 @@ def view(
 
     Put `--` before names that begin with a dash.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
+    from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
 
     check_one_cut(options)
     if serve and not folder:
@@ -87,11 +87,8 @@ def view(
         if not options["images"][0].is_dir():
             options["images"] = (*options["images"], *new)
         job = job_of()
-    summary = run_job(
-        job, plan_view, lambda: run_view, lambda summary: say(_said(summary)), as_json=as_json, dry_run=dry_run,
-        quiet=quiet,
-    )  # fmt: skip
-    if summary is None:
+    made = run_job(job, plan_view, "viewer.run:run_view", _report, as_json=as_json, dry_run=dry_run, quiet=quiet)
+    if made is None:
         return
     if serve:
         _serve(job.output, is_opened=is_opened, is_quiet=quiet)
@@ -117,11 +114,11 @@ def _place(job: ViewJob, new: tuple[Path, ...], *, is_quiet: bool) -> None:
         say(note, err=True)
 
 
-def _said(summary: TourSummary) -> str:
-    """What was written, in one line."""
+def _report(summary: TourSummary) -> None:
+    """Say what was written, in one line."""
     plan, seconds = summary.plan, summary.seconds["total"]
     what = f"a walk through {len(plan.entries)} panoramas, {summary.results['bytes'] / 1e6:.1f} MB"
-    return f"{plan.job.output}: {what}, in {seconds:.1f} s"
+    say(f"{plan.job.output}: {what}, in {seconds:.1f} s")
 
 
 def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:

@@ -7,7 +7,6 @@ process of its own: peak memory and the time to load are facts about processes.
 import math
 import os
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -30,12 +29,11 @@ from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
+from omnisyn_cli.runtime.monocular_session import peak_memory
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 PHOTOGRAPHS_PER_CLIP = 2  # the first and the last frame of a clip, which are not rendered
-# Where Linux says what the greatest resident size of a process was, in kB.
-PROCESS_STATUS, PEAK_MEMORY_FIELD = Path("/proc/self/status"), "VmHWM:"
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = l
     for plan in chain((first_plan,), plans):
         clips.append(_clip(plan, estimate, run.frames))
         found.append(None)
-    memory = _peak_memory()
+    memory = peak_memory()
     start = max(0.0, started - sum(clips[0].values()))
     seconds = {"start": start, **{stage: fmean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
     scores = {}
@@ -134,18 +132,3 @@ def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan
     made = synthesize(loaded.views, [truth.waypoint for truth in loaded.truths], method)
     images = (at_size(frame.image, loaded.size, threads) for frame in made)
     return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]
-
-
-def _peak_memory() -> int | None:
-    """Bytes held at most, of Linux itself: ``getrusage`` says no less than what the parent held at the start."""
-    if PROCESS_STATUS.exists():
-        lines = PROCESS_STATUS.read_text(encoding="ascii", errors="replace").splitlines()
-        peaks = [line.split() for line in lines if line.startswith(PEAK_MEMORY_FIELD)]
-        if peaks:
-            return int(peaks[0][1]) * 1024
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024

@@ -21,7 +21,7 @@ from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import find_method, find_methods
-from omnisyn_cli.evaluation.scene_files import write_scene
+from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, write_scene
 from omnisyn_cli.interpolation.planning.figures import FIGURES, Figures, Setting
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.documents import append_line, complete_lines
@@ -37,8 +37,6 @@ GENERATED_PAIRS = (
     ("home", 5_000_002, 1.0), ("home", 5_000_003, 2.0), ("home", 5_000_004, 4.0),
     ("home", 5_000_001, 1.0), ("home", 5_000_005, 3.0), ("street", 5_000_004, 2.0), ("street", 5_000_005, 6.0),
 )  # fmt: skip
-# Of the panoramas of a scene that is made: two inputs, and three true frames between.
-PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(5))
 SUPERSAMPLE = 2  # rays per pixel along each axis of the rendered scenes. Set by hand.
 DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"  # what others are compared with
 ALL_SIZE_METHODS = tuple(f"omnisyn-{name}" for name in SCALE)  # what is measured in further sizes as well

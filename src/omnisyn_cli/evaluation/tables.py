@@ -74,9 +74,7 @@ class Means:
 
 # How close pictures are to the true ones.
 FRAMES = Means(
-    "Means per method",
-    "Frames",
-    "frame",
+    "Means per method", "Frames", "frame",
     {
         "ws_psnr": Column("WS-PSNR, dB", 1),
         "psnr": Column("PSNR, dB", 1),
@@ -91,13 +89,11 @@ FRAMES = Means(
         "misplacement": Column("Misplacement, degrees", -1),
     },
     "Mean over all frames between the panoramas; each is compared with the true one.",
-)
+)  # fmt: skip
 # The paper's depth table, over all panoramas whose true depth is known.
 DEPTHS = tuple(
     Means(
-        f"Depth, {how}",
-        "Panoramas",
-        subject,
+        f"Depth, {how}", "Panoramas", subject,
         {
             "imae": Column("IMAE, 1/m", -1, 4),
             "irmse": Column("IRMSE, 1/m", -1, 4),
@@ -113,12 +109,10 @@ DEPTHS = tuple(
         f"On pixels with a true depth between 1 m and 50 m; {how}. Estimates beyond 100 m count as 100 m in metres.",
     )
     for how, subject in (("every pixel counts alike", "depth"), ("weighted by solid angle", "depth-weighted"))
-)
+)  # fmt: skip
 # What neighbouring true frames and both photographs do not show.
 ARTEFACTS = Means(
-    "Changes, flying pixels and shards",
-    "Frames",
-    "frame",
+    "Changes, flying pixels and shards", "Frames", "frame",
     {
         "change_psnr": Column("Change from frame to frame, dB", 1),
         "flying": Column("Flying pixels, share of the sphere", -1, 5),
@@ -127,12 +121,10 @@ ARTEFACTS = Means(
     "Change: PSNR of the difference to the frame before, against that of the true frames. Flying pixels are more "
     "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them. "
     "Shards are edges that neither photograph has anywhere near; they need no true frame.",
-)
+)  # fmt: skip
 # Whether depth knows where it is wrong.
 CONFIDENCE = Means(
-    "What is known of errors of depth",
-    "Panoramas",
-    "doubt",
+    "What is known of errors of depth", "Panoramas", "doubt",
     {
         "unsure_area": Column("Unsure area", 0, 4),
         "within_5_unsure": Column("within 5 % there", 1, 4),
@@ -143,12 +135,10 @@ CONFIDENCE = Means(
     "On pixels with a true depth between 1 m and 50 m, weighted by solid angle. Unsure is where both directions of "
     "matching did not agree. Doubt is 1 − confidence, error is relative (Spearman). Calibration error: how far "
     "confidence is from the share of the values within 10 %, in bins of confidence, on average.",
-)
+)  # fmt: skip
 # How much consecutive frames differ that should not.
 STEADINESS = Means(
-    "Steadiness",
-    "Pairs",
-    "temporal",
+    "Steadiness", "Pairs", "temporal",
     {
         "warping_error": Column("Warping error", -1, 4),
         "flicker": Column("Flicker", -1, 4),
@@ -157,23 +147,16 @@ STEADINESS = Means(
     },
     "Warping error: difference of a frame and the next one warped into it along the geometry. Flicker: second "
     "difference in time of each point. At a panorama: root mean square difference from the panorama itself.",
-)
+)  # fmt: skip
 # Kinds of pixels: every pixel is of one of the first four, and may be of the others as well.
 KINDS = {
-    "agree": "Both views agree",
-    "disagree": "they disagree",
-    "one_view": "one view only",
-    "hole": "hole",
-    "silhouette": "Beside silhouettes",
-    "top": "Top eighth",
-    "bottom": "bottom eighth",
-}
+    "agree": "Both views agree", "disagree": "they disagree", "one_view": "one view only", "hole": "hole",
+    "silhouette": "Beside silhouettes", "top": "Top eighth", "bottom": "bottom eighth",
+}  # fmt: skip
 # Where pictures are wrong. Nothing is marked: every method has kinds of its own.
 KIND_TABLES = tuple(
     Means(
-        title,
-        "Frames",
-        f"kind-{figure}",
+        title, "Frames", f"kind-{figure}",
         {kind: Column(name, 0, digits) for kind, name in KINDS.items()},
         f"{note} Kinds are those of a method's own surfaces: what both views show there, or one, or neither, and "
         "whether within a tenth at one distance; beside silhouettes is up to 2 pixels from a jump of depth.",
@@ -183,7 +166,7 @@ KIND_TABLES = tuple(
         ("Area by kind of pixel", "Share of the sphere.", "area", 4),
         ("Share of the squared error by kind of pixel", "1 is that of the whole picture.", "error", 4),
     )
-)
+)  # fmt: skip
 
 DIFFERENCE_COLUMNS = (
     Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),

@@ -33,11 +33,8 @@ ERROR_SCALE = 0.25
 NEAREST_PERCENTILE = 99.0
 # RGB of the largest error of each kind: white, magenta, orange, blue.
 KIND_COLOURS = {
-    "agree": (255, 255, 255),
-    "disagree": (255, 80, 255),
-    "one_view": (255, 190, 40),
-    "hole": (60, 200, 255),
-}
+    "agree": (255, 255, 255), "disagree": (255, 80, 255), "one_view": (255, 190, 40), "hole": (60, 200, 255),
+}  # fmt: skip
 KIND_MIN_BRIGHTNESS = 0.15  # brightness without any error, so that the area of a kind is seen as well
 PICTURES_FOLDER = "pictures"  # in the folder of a report
 MAX_NAME_CHARS = 80  # of a scene in a file name: file systems take 255 bytes for all of it

@@ -97,17 +97,9 @@ def _gaussian(gap):
 def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, rule):
     """:func:`omnisyn_cli.fusion.blend_rule.view_weights` of one pixel, without branches.
 
-    Args:
-        weight_a: of the first layer's colour.
-        rho_a: its inverse depth from the target, >= 0.
-        offset_a: position of its view in the frame of the target.
-        weight_b: of the second layer's colour.
-        rho_b: as ``rho_a``.
-        offset_b: as ``offset_a``.
-        x: of the pixel's unit ray, to the right.
-        y: upwards.
-        z: backwards.
-        rule: :class:`KernelRule`.
+    ``weight_a`` and ``weight_b`` are those of the layers' colours, ``rho_a`` and ``rho_b`` their inverse depths from
+    the target (>= 0), ``offset_a`` and ``offset_b`` the positions of their views in the frame of the target; ``x``,
+    ``y``, ``z`` is the pixel's unit ray, ``rule`` a :class:`KernelRule`.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     a = weight_a * _inverse_distance_weight(rho_a, x, y, z, offset_a)
@@ -131,16 +123,11 @@ def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, 
 def blend_rows(first, second, rule, tables, quantization, out, seen, coarse_colour, coarse_weight):
     """Blend some rows of two layers, quantise them, and halve them for the pyramid that fills holes.
 
-    Args:
-        first: :class:`LayerRows` of the first view.
-        second: of the second view.
-        rule: :class:`KernelRule`.
-        tables: :class:`omnisyn_cli.types.DirectionTables` of these rows.
-        quantization: :class:`Quantization`.
-        out: ``(rows, width, 3)``, written; undefined in holes. The number of rows may be odd at the end of the picture.
-        seen: ``(rows, width)`` uint8, written: 0 in holes, else 1.
-        coarse_colour: ``(ceil(rows / 2), ceil(width / 2), 3)``, written where there is weight.
-        coarse_weight: of these, written; large where the surface is far.
+    ``first`` and ``second`` are :class:`LayerRows`, ``rule`` is a :class:`KernelRule`, ``quantization`` a
+    :class:`Quantization`, ``tables`` are the :class:`omnisyn_cli.types.DirectionTables` of these rows. Written are
+    ``out``, ``(rows, width, 3)``, undefined in holes, where the number of rows may be odd at the end of the picture;
+    ``seen``, 0 in holes, else 1; and of half the size, rounded up, ``coarse_colour`` where there is weight, and
+    ``coarse_weight``, large where the surface is far.
     """
     rows, width = seen.shape
     upper, lower = empty(4 * RUN_PIXELS, np.float32), empty(4 * RUN_PIXELS, np.float32)

@@ -61,21 +61,17 @@ def fusion_input_channels(
     directions = xp.asarray(_directions(*like.shape), dtype=like.dtype, device=device(like))
     gap = normalized_depth_gap(first, second, rule.disagreement) * is_both
     weights = view_weights(first, second, directions, rule)
-    log_ratio = _log_ratio(*(xp.where(both, weight, one) for weight in weights))
+    a, b = (xp.where(both, weight, one) for weight in weights)
+    log_ratio = xp.log((a + MIN_WEIGHT_RATIO * b) / (b + MIN_WEIGHT_RATIO * a))  # bounded where one is next to nothing
     channels = [
-        *(first.colour[..., k] for k in range(3)),
-        *(second.colour[..., k] for k in range(3)),
-        *xp.moveaxis(fill(*blend_layers(first, second, weights)), -1, 0),
-        first.weight,
-        second.weight,
+        *(first.colour[..., k] for k in range(3)), *(second.colour[..., k] for k in range(3)),
+        *xp.moveaxis(fill(*blend_layers(first, second, weights)), -1, 0), first.weight, second.weight,
         *(sqrt_inverse_depth(layer.clipped_inverse_depth * baseline) for layer in (first, second)),
-        xp.clip(log_ratio / MAX_LOG_RATIO, min=-1.0, max=1.0),
-        xp.clip(gap / MAX_GAP, min=-1.0, max=1.0),
+        xp.clip(log_ratio / MAX_LOG_RATIO, min=-1.0, max=1.0), xp.clip(gap / MAX_GAP, min=-1.0, max=1.0),
         *(xp.astype(layer.is_seen, like.dtype) for layer in (first, second)),
         is_both * disagreement_mask(gap) * _colour_relevance(first.colour - second.colour) + holes,
-        (2.0 * rule.t - 1.0) * one,
-        directions[..., 1],
-    ]
+        (2.0 * rule.t - 1.0) * one, directions[..., 1],
+    ]  # fmt: skip
     return xp.stack(channels)
 
 
@@ -85,11 +81,6 @@ def needs_no_network(channels: Float32[Array, "channels height width"]) -> bool:
 
 
 _directions = lru_cache(maxsize=2)(pixel_directions)
-
-
-def _log_ratio(a: Array, b: Array) -> Float[Array, "height width"]:
-    """log(a / b), bounded where one of them is next to nothing."""
-    return array_namespace(a).log((a + MIN_WEIGHT_RATIO * b) / (b + MIN_WEIGHT_RATIO * a))
 
 
 def _colour_relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "height width"]:

@@ -36,21 +36,9 @@ from omnisyn_cli.synthesis.trajectory import Ease, Heading, plan_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 __all__ = [
-    "PRESETS",
-    "DepthEstimate",
-    "DepthEstimator",
-    "DepthSource",
-    "Fuser",
-    "Layer",
-    "Pose",
-    "RunConfig",
-    "View",
-    "estimate_depth",
-    "interpolate",
-    "make_frames",
-    "read_views",
-    "write_video",
-]
+    "PRESETS", "DepthEstimate", "DepthEstimator", "DepthSource", "Fuser", "Layer", "Pose", "RunConfig", "View",
+    "estimate_depth", "interpolate", "make_frames", "read_views", "write_video",
+]  # fmt: skip
 
 
 def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: float = 0.0) -> list[View]:
@@ -86,29 +74,16 @@ def estimate_depth(
 
 
 def make_frames(
-    views: Sequence[View],
-    frames: int,
-    config: RunConfig | str = DEFAULT_PRESET,
-    *,
-    size: str | tuple[int, int] | None = None,
-    ease: Ease = "linear",
-    heading: Heading = "panoramas",
-    estimator: DepthEstimator | None = None,
-    fuser: Fuser | None = None,
-    threads: int | None = None,
-) -> Iterator[Float32[np.ndarray, "height width 3"]]:
-    """Frames from the first to the last panorama: RGB in [0, 1], one at a time, in memory of their own.
+    views: Sequence[View], frames: int, config: RunConfig | str = DEFAULT_PRESET, *,
+    size: str | tuple[int, int] | None = None, ease: Ease = "linear", heading: Heading = "panoramas",
+    estimator: DepthEstimator | None = None, fuser: Fuser | None = None, threads: int | None = None,
+) -> Iterator[Float32[np.ndarray, "height width 3"]]:  # fmt: skip
+    """Frames from the first to the last of two panoramas or more: RGB in [0, 1], one at a time, in memory of their own.
 
-    Args:
-        views: two or more panoramas.
-        frames: at least one per panorama.
-        config: name of a preset, or a config. A preset takes the depth of the views where all of them have some.
-        size: of the frames, such as ``"2048x1024"``, or (width, height); that of the first panorama by default.
-        ease: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
-        heading: likewise.
-        estimator: finds depth in place of the config's.
-        fuser: joins both renderings in place of the config's; for frames of this size.
-        threads: at most this many; None is one per core.
+    ``config`` is a config or the name of a preset, which takes the depth of the views where all of them have some.
+    ``size`` is such as ``"2048x1024"``, or (width, height); None is that of the first panorama. For ``ease`` and
+    ``heading`` see :func:`omnisyn_cli.synthesis.trajectory.plan_path`. ``estimator`` and ``fuser`` (for frames of this
+    size) find depth, and join both renderings, in place of the config's. ``threads`` None is one per core.
 
     Raises InputError: a network is missing, or there is no such device; ValueError: fewer than two views, or fewer
     frames than views.
@@ -128,11 +103,8 @@ def write_video(
 ) -> None:
     """Write frames as a 360° video, or as numbered images into a folder.
 
-    Args:
-        path: see :func:`omnisyn_cli.io.open_video`.
-        frames: RGB in [0, 1], all of one size.
-        fps: frames per second.
-        options: ``codec``, ``crf``, ``preset``, ``overwrite`` of :func:`omnisyn_cli.io.open_video`.
+    Frames are RGB in [0, 1], all of one size. ``path`` and the options ``codec``, ``crf``, ``preset`` and
+    ``overwrite`` are those of :func:`omnisyn_cli.io.open_video`.
 
     Raises ImageError: there are no frames; InputError, OutputPathError: the size, the place or an option cannot be
     used; EncodingError, WriteError: the encoder stopped, or the disk is full.

@@ -10,6 +10,7 @@ from omnisyn_cli.interpolation.job import (
     CHOICES,
     FACES,
     OUTPUTS,
+    POSES_FROM_PICTURES,
     InterpolationJob,
     TourJob,
     depth_files,
@@ -64,6 +65,21 @@ def check_choices(job: TourJob) -> None:
         )
 
 
+def check_pose_options(job: TourJob) -> None:
+    """Refuse options that are for poses from pictures alone, or for poses from a file alone (InputError)."""
+    is_found = job.poses == POSES_FROM_PICTURES
+    for name, metres in (("baseline", job.baseline), ("height of the camera", job.camera_height)):
+        if metres is not None and not is_found:
+            raise InputError(
+                f"expected a {name} only where poses are found in the pictures (--poses auto), got {metres:g} m "
+                f"and {job.poses}; leave out one of them"
+            )
+    if job.baseline is not None and job.camera_height is not None:
+        raise InputError("expected a baseline or the height of the camera, got both; leave out one of them")
+    if job.refine and is_found:
+        raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
+
+
 def check_method(job: InterpolationJob) -> None:
     """Refuse (InputError) options that only say how this program's own frames are made beside another method."""
     defaults = InterpolationJob(job.images, job.poses, job.output)
@@ -115,14 +131,19 @@ def check_companions(
             check_depth_header(read_header(entry.depth))
 
 
+def check_shape(job: InterpolationJob, size: tuple[int, int]) -> None:
+    """Refuse (InputError) a height and width of a 360° video that are not 1:2."""
+    if size[1] != 2 * size[0] and job.projection != "flat":
+        raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
+
+
 def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
     """Refuse what cannot be written.
 
     Raises InputError: the size is not 2:1, too large, or nothing for the encoder; OutputPathError: a place exists
     already, cannot be written to, or is that of another output.
     """
-    if size[1] != 2 * size[0] and job.projection != "flat":
-        raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
+    check_shape(job, size)
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(f"expected a size of at most {MAX_PIXELS:,} pixels, got {size[1]}x{size[0]}; ask for less")
     if job.save_frames is not None and not is_sequence(job.save_frames):

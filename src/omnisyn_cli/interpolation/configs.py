@@ -12,7 +12,7 @@ from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.models import find_prior
 from omnisyn_cli.runtime.monocular_session import NetworkKind
-from omnisyn_cli.runtime.session import check_device_of_networks
+from omnisyn_cli.runtime.session import providers
 
 # Between two panoramas, from which on fewer triangles save more time than it takes to find them: 0.5 s of one core for
 # a mesh of 1024×512, and 0.02 s less for each frame of 1024×512 or 2048×1024 then.
@@ -115,4 +115,4 @@ def _prior(job: TourJob, kind: str, defaults: RunConfig) -> tuple[str | None, st
 def check_device(config: RunConfig) -> None:
     """Refuse (InputError) a device that this machine does not have; a plan alone may be for another one."""
     if config.device == "cuda" and config.networks:
-        check_device_of_networks(config.device)
+        providers(config.device)

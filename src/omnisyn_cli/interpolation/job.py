@@ -32,18 +32,11 @@ FACE_MODEL_VARIABLE = "OMNISYN_FACE_MODEL"  # of the environment: the detector's
 POSES_FROM_PICTURES = Path("auto")  # stands for a pose file where there is none
 # Names that fields of a job take.
 CHOICES: Mapping[str, tuple[str, ...]] = {
-    "method": tuple(name for name, method in METHODS.items() if method.is_offered),
-    "preset": tuple(PRESETS),
-    "depth": ("auto", *DEPTH_SOURCES),
-    "renderer": ("auto", *RENDERERS),
-    "fusion": ("auto", *FUSIONS),
-    "ease": EASES,
-    "heading": HEADINGS,
-    "device": DEVICES,
-    "fallback": FALLBACKS,
-    "projection": ("equirectangular", "flat"),
+    "method": tuple(name for name, method in METHODS.items() if method.is_offered), "preset": tuple(PRESETS),
+    "depth": ("auto", *DEPTH_SOURCES), "renderer": ("auto", *RENDERERS), "fusion": ("auto", *FUSIONS), "ease": EASES,
+    "heading": HEADINGS, "device": DEVICES, "fallback": FALLBACKS, "projection": ("equirectangular", "flat"),
     "stereo": ("mono", "top-bottom"),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

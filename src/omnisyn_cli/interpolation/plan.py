@@ -138,20 +138,13 @@ class TourPlan:
         config, (before, after, memory) = self.config, self.details()
         is_own = config.draws_surfaces
         return {
-            "inputs": [str(image) for image in self.job.images],
-            "output": str(self.job.output),
-            **before,
-            "preset": self.job.preset if is_own else "",
-            "depth": config.depth.kind,
+            "inputs": [str(image) for image in self.job.images], "output": str(self.job.output), **before,
+            "preset": self.job.preset if is_own else "", "depth": config.depth.kind,
             "model": (config.depth.model or "") if is_own else ", ".join(config.networks),
-            "depth_prior": self.job.depth_prior or "",
-            "depth_prior_seconds": self.prior_cost.seconds,
-            "depth_prior_words": self.prior_cost.words,
-            "joined_depths": self.fused_depths,
-            **after,
-            "memory_mib": round(memory / 2**20),
-            "notes": list(self.notes),
-        }
+            "depth_prior": self.job.depth_prior or "", "depth_prior_seconds": self.prior_cost.seconds,
+            "depth_prior_words": self.prior_cost.words, "joined_depths": self.fused_depths, **after,
+            "memory_mib": round(memory / 2**20), "notes": list(self.notes),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -303,7 +296,7 @@ def _installed(config: RunConfig) -> RunConfig:
 
 def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     """The job in its order; the poses, read, refined or found, and what there is to say about them."""
-    _check_pose_options(job)
+    checks.check_pose_options(job)
     is_found = job.poses == POSES_FROM_PICTURES
     if not (is_found or job.refine):
         return job, read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
@@ -323,21 +316,6 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     is_metric = job.baseline is not None or job.camera_height is not None
     posed = PoseFile(job.poses, found.panoramas, found.links, is_metric=is_metric)
     return replace(job, **of_panoramas(job, [job.images.index(image) for image in found.order])), posed, found.notes
-
-
-def _check_pose_options(job: TourJob) -> None:
-    """Refuse options that are for poses from pictures alone, or for poses from a file alone (InputError)."""
-    is_found = job.poses == POSES_FROM_PICTURES
-    for name, metres in (("baseline", job.baseline), ("height of the camera", job.camera_height)):
-        if metres is not None and not is_found:
-            raise InputError(
-                f"expected a {name} only where poses are found in the pictures (--poses auto), got {metres:g} m "
-                f"and {job.poses}; leave out one of them"
-            )
-    if job.baseline is not None and job.camera_height is not None:
-        raise InputError("expected a baseline or the height of the camera, got both; leave out one of them")
-    if job.refine and is_found:
-        raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
 
 
 def frame_count(job: InterpolationJob) -> int:

@@ -85,13 +85,9 @@ class EncoderProcess:
     def _started(self, command: list[str]) -> subprocess.Popen[bytes]:
         try:
             return subprocess.Popen(  # noqa: S603 - a list, no shell; every file name is prefixed
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                env={**os.environ, "SVT_LOG": "1", "AV_LOG_FORCE_NOCOLOR": "1"},
-                start_new_session=True,
-            )
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                env={**os.environ, "SVT_LOG": "1", "AV_LOG_FORCE_NOCOLOR": "1"}, start_new_session=True,
+            )  # fmt: skip
         except OSError as error:
             raise EncodingError(
                 f"{self._target}: expected to start ffmpeg, got '{error}'; check {command[0]}"

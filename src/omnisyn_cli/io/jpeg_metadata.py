@@ -83,7 +83,9 @@ def _segments(path: Path, data: bytes) -> Iterator[tuple[int, int, int]]:
 
 def _edited(path: Path, packet: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
     root = _parsed(path, packet or NEW_PACKET)
-    descriptions = [node for node in root.getElementsByTagNameNS(RDF, "Description") if _is_top(node)]
+    found = ((node, node.parentNode) for node in root.getElementsByTagNameNS(RDF, "Description"))
+    # of the picture, not of a part of a structure
+    descriptions = [node for node, above in found if above and (above.namespaceURI, above.localName) == (RDF, "RDF")]
     if not descriptions:
         return _edited(path, NEW_PACKET, namespace, values)
     prefix, address = namespace
@@ -98,11 +100,6 @@ def _edited(path: Path, packet: bytes, namespace: tuple[str, str], values: Mappi
     for name, value in values.items():
         descriptions[0].setAttributeNS(address, f"{prefix}:{name}", value)
     return root.toxml("utf-8")
-
-
-def _is_top(node: Element) -> bool:
-    """Whether properties of it are those of the picture, not of a part of a structure."""
-    return node.parentNode is not None and (node.parentNode.namespaceURI, node.parentNode.localName) == (RDF, "RDF")
 
 
 def _parsed(path: Path, packet: bytes) -> Element:

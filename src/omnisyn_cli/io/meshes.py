@@ -1,12 +1,6 @@
 """Textured meshes from files: glTF, OBJ and PLY through trimesh, and an archive of arrays; clouds of points as PLY.
 
-The archive is a ``.npz`` with ``verts`` (V, 3) in metres, z up; ``faces`` (F, 3); ``uv`` (V, 2), (0, 0) in the lower
-left corner; ``mat`` (F,), index into ``materials``, JSON text of a list of objects with ``name``, ``tex`` and
-``alpha`` (file names or null), ``color`` (sRGB in [0, 1]), ``lm`` (lit by ``lightmap.jpg`` beside it) and ``emit``
-(shines by itself); ``uvl`` (V, 2), coordinates of the light map, where ``has_lm``. Textures lie beside the archive or
-in ``scene_textures`` two folders up.
-
-Source of PLY: Turk, The PLY Polygon File Format, 1994.
+The archive is described in ``docs/scenes.md``. Source of PLY: Turk, The PLY Polygon File Format, 1994.
 """
 
 import json
@@ -40,7 +34,7 @@ def list_meshes(folder: Path) -> list[Path]:
 
 
 def read_mesh(path: Path, scale: float = 1.0, *, z_up: bool = False) -> TexturedMesh:
-    """The mesh of a glTF, OBJ, PLY or an archive (see the module) with ``scale`` metres per unit, y up.
+    """The mesh of a glTF, OBJ, PLY or an archive with ``scale`` metres per unit, y up.
 
     ``z_up`` says that the file's z is up; archives say so themselves.
     InputError: it cannot be read, has no faces, or is of an extent that no room or street has.

@@ -1,9 +1,7 @@
 """Depth of a panorama from a pair: a pretrained encoder, a cost volume, and what matching measured, if anything.
 
-Both panoramas are upright, turned so that the other camera is ahead (−z, up to the slope of the baseline). Features at
-a quarter of the size are correlated over spheres uniform in √(inverse depth × baseline): costs are channels of a 2-D
-U-net whose skips have the encoder's features. Classical matching may guide it by further channels, zero where there is
-none. It answers with √(inverse depth × baseline) at full size and the scale of a Laplace distribution around it.
+Both panoramas are upright, turned so that the other camera is ahead (−z, up to the slope of the baseline);
+``docs/learned-depth.md`` says what becomes of them.
 
 Source: Sayed et al., SimpleRecon, 2022 (cost volume in 2-D); Guo et al., 2019 (group-wise correlation); Teed and Deng,
 RAFT, 2020 (convex upsampling); Kendall and Gal, 2017 (Laplace scale).

@@ -10,10 +10,7 @@ ahead and up is up, so that the sweep is a constant. Everything is in ``inverse 
 4. The low head, a 1×1 convolution, makes inverse depth of them; the high head does it at full size with the first
    panorama's features beside them (the monocular skip).
 
-Unlike the authors' programs pixels are sampled where they are (theirs: half a pixel off), the sweep and every
-enlargement go across the seam, the frame is turned in full 3-D, and inverse depth is never negative.
-
-Source: OmniSyn, sections 3.1 to 3.4.
+Source: OmniSyn, sections 3.1 to 3.4; ``docs/training.md`` says where the authors' programs differ.
 """
 
 import math

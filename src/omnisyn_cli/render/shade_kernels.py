@@ -130,19 +130,11 @@ def _new_scratch(layout, cubic):
 
 @inlined(fastmath=True)
 def _shade_run(rho, texture, sp, cp, sin_a, cos_a, view, scratch, flat, first):
-    """Shade up to :data:`RUN_PIXELS` pixels of a row.
+    """Shade up to :data:`RUN_PIXELS` pixels of a row, given their inverse depth ``rho``.
 
-    Args:
-        rho: their inverse depth.
-        texture: :class:`TextureArrays`.
-        sp: sine of the polar angle of the row.
-        cp: its cosine.
-        sin_a: sines of the azimuths of the pixels.
-        cos_a: their cosines.
-        view: :class:`SourceView`.
-        scratch: :class:`_Scratch`.
-        flat: the image, written.
-        first: index in ``flat`` of the first pixel.
+    ``texture`` is a :class:`TextureArrays`, ``view`` a :class:`SourceView`, ``scratch`` a :class:`_Scratch`. ``sp`` and
+    ``cp`` are sine and cosine of the polar angle of the row, ``sin_a`` and ``cos_a`` those of the azimuths of the
+    pixels, which are written into ``flat`` from index ``first`` on.
     """
     if not _is_any(rho):
         flat[first : first + 4 * len(rho)] = np.float32(0.0)
@@ -213,18 +205,10 @@ def _scales(cubic, unit):
 
 @inlined(fastmath=True)
 def _find_coordinates(rho, sp, cp, sin_a, cos_a, view, layout, coordinates, modes):
-    """Texture coordinates and mip levels of the pixels of a run, and how they are read; ``modes`` is written.
+    """Texture coordinates (see :data:`LEVEL`) and mip levels of the pixels of a run, and how they are read.
 
-    Args:
-        rho: inverse depth.
-        sp: sine of the polar angle of the row.
-        cp: its cosine.
-        sin_a: sines of the azimuths of the pixels.
-        cos_a: their cosines.
-        view: :class:`SourceView`.
-        layout: of the texture.
-        coordinates: written, see :data:`LEVEL`.
-        modes: written.
+    ``coordinates`` and ``modes`` are written; ``layout`` is that of the texture. For ``rho``, ``sp``, ``cp``,
+    ``sin_a``, ``cos_a`` and ``view`` see :func:`_shade_run`.
     """
     find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates)
     _find_texels(coordinates, layout, len(rho))
@@ -360,18 +344,11 @@ def _find_bilinear(coordinates, level, stride, factors, full_weight, index, shar
 
 @inlined(fastmath=True)
 def _read_levels(texels, starts, strides, finer, index, shares, scales, confidences, flat):
-    """Trilinear reads, 2x2 texels of each of two mip levels, for some pixels of a run.
+    """Trilinear reads into ``flat``, 2x2 texels of the mip level ``finer`` and of the next, for some pixels of a run.
 
-    Args:
-        texels: of all levels.
-        starts: offset of each level.
-        strides: numbers per row of each level.
-        finer: the finer level; the other one is the next.
-        index: ``(2, pixels)`` first texel in both levels.
-        shares: bilinear weights in the finer level, and a run later in the other one.
-        scales: of :func:`_scales`.
-        confidences: of the pixels.
-        flat: the pixels, written.
+    ``starts`` has the offset of each level in ``texels`` and ``strides`` the numbers per row of each; ``index``,
+    ``(2, pixels)``, the first texel in both levels; ``shares`` the bilinear weights in the finer level, and a run later
+    in the other one; ``scales`` are those of :func:`_scales`, ``confidences`` those of the pixels.
     """
     scale, shift, _, _ = scales
     start, next_start, stride, next_stride = starts[finer], starts[finer + 1], strides[finer], strides[finer + 1]

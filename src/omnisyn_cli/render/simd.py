@@ -15,6 +15,7 @@ opaque pointers alone only :func:`_address` and :func:`_load` change: the cast g
 """
 
 import operator
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
@@ -51,16 +52,18 @@ class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
         super().__init__(manager, vector, _TYPES[vector])
 
 
+def _made(build: Callable[..., Any]) -> Callable[..., Any]:
+    """What numba calls to make the instructions that ``build`` makes, of a context, a builder and the arguments."""
+    return lambda context, builder, signature_, arguments: build(context, builder, *arguments)
+
+
 def _define(function: Any, build: Any, operands: tuple[_Vector, ...], result: _Vector | None = None) -> None:
     """A binary operator on vectors: its types for numba and the instruction that it is."""
     cases = [signature(result or operand, operand, operand) for operand in operands]
     infer_global(function)(type(f"_{function.__name__}", (ConcreteTemplate,), {"cases": cases}))
 
-    def lower(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return build(builder, *arguments)
-
     for operand in operands:
-        lower_builtin(function, operand, operand)(lower)
+        lower_builtin(function, operand, operand)(_made(lambda _, *given: build(*given)))
 
 
 def _high_half(builder: Any, a: Any, b: Any) -> Any:
@@ -87,11 +90,8 @@ _define(operator.or_, lambda builder, a, b: builder.or_(a, b), (_mask8,))
 @intrinsic
 def load(typing_context: Any, array: Any, index: Any) -> Any:
     """The eight numbers of a contiguous one-dimensional array from ``index`` on; bounds are not checked."""
-
-    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return _load(context, builder, array, arguments[0], arguments[1])
-
-    return _VECTOR_OF[array.dtype](array, types.intp), generate
+    result = _VECTOR_OF[array.dtype](array, types.intp)
+    return result, _made(lambda context, builder, *given: _load(context, builder, array, *given))
 
 
 class _WholeStore(instructions.StoreInstr):  # type: ignore[misc]
@@ -123,11 +123,7 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 @intrinsic
 def broadcast(typing_context: Any, number: Any) -> Any:
     """One number in all eight lanes."""
-
-    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return _broadcast(builder, arguments[0], LANES)
-
-    return _VECTOR_OF[number](number), generate
+    return _VECTOR_OF[number](number), _made(lambda _, builder, number: _broadcast(builder, number, LANES))
 
 
 @intrinsic
@@ -144,31 +140,19 @@ def pair(typing_context: Any, first: Any, second: Any) -> Any:
 @intrinsic
 def where(typing_context: Any, mask: Any, first: Any, second: Any) -> Any:
     """``first`` where the mask is set, else ``second``."""
-
-    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return builder.select(*arguments)
-
-    return first(mask, first, second), generate
+    return first(mask, first, second), _made(lambda _, builder, *arguments: builder.select(*arguments))
 
 
 @intrinsic
 def to_float64(typing_context: Any, vector: Any) -> Any:
     """A float32 vector in float64."""
-
-    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return builder.fpext(arguments[0], context.get_value_type(_float64x8))
-
-    return _float64x8(_float32x8), generate
+    return _float64x8(_float32x8), _made(lambda _, builder, numbers: builder.fpext(numbers, _TYPES[_float64x8]))
 
 
 @intrinsic
 def to_float32(typing_context: Any, vector: Any) -> Any:
     """A float64 vector rounded to float32."""
-
-    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return builder.fptrunc(arguments[0], context.get_value_type(_float32x8))
-
-    return _float32x8(_float64x8), generate
+    return _float32x8(_float64x8), _made(lambda _, builder, numbers: builder.fptrunc(numbers, _TYPES[_float32x8]))
 
 
 @intrinsic

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import secrets
+import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -66,13 +67,8 @@ class NetworkCost(NamedTuple):
 class MonocularSession:
     """One picture in, numbers of depth out; a :class:`omnisyn_cli.stereo.monocular_answer.PictureNetwork`.
 
-    Args:
-        session: of the network.
-        path: of its file.
-        kind: what users say of it.
-
-    Raises InputError: it takes something else than one picture, it takes any size and ``kind`` does not say which, or
-    its weights lie in another file.
+    InputError: the network takes something else than one picture, it takes any size and ``kind`` does not say which, or
+    its weights lie in another file than ``path``.
     """
 
     def __init__(self, session: Any, path: Path, kind: NetworkKind) -> None:
@@ -150,7 +146,7 @@ class MonocularSession:
         height, width = self.size
         wants_points = self._kind.reading == "points"
         begin = time.perf_counter()
-        former_peak = _peak_memory()
+        former_peak = peak_memory() or 0
         answers = run_network(self._session, {self._name: np.ascontiguousarray(batch)})
         seconds = time.perf_counter() - begin
         for answer in answers:
@@ -161,7 +157,7 @@ class MonocularSession:
                     raise InputError(
                         f"{self._path}: expected depth that varies, got {middle:.3g} everywhere; name another"
                     )
-                memory = self._path.stat().st_size + _peak_memory() - former_peak
+                memory = self._path.stat().st_size + (peak_memory() or 0) - former_peak
                 cost = NetworkCost(seconds, memory)
                 if self.cost is None:
                     _keep(self._cost_file, json.dumps(cost).encode())
@@ -204,12 +200,17 @@ def _parameters(path: Path) -> int:
     return sum(math.prod(weight.dims) for weight in weights)
 
 
-def _peak_memory() -> int:
-    """Bytes that this process held at most, where Linux says it; else 0."""
+def peak_memory() -> int | None:
+    """Bytes that this process held at most, of Linux itself: ``getrusage`` says no less than the parent held."""
     with suppress(OSError, IndexError):
         status = PROCESS_STATUS.read_text(encoding="ascii", errors="replace")
         return 1024 * int(status.partition("VmHWM:")[2].split()[0])
-    return 0
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
 
 
 def _kept(file: Path) -> np.ndarray | None:

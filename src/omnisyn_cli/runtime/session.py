@@ -31,9 +31,9 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
     options.enable_cpu_mem_arena = options.enable_mem_pattern = keeps_memory
     if threads is not None:
         options.intra_op_num_threads = threads
-    providers = _providers(device)
+    chosen = providers(device)
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=providers)
+        return onnxruntime.InferenceSession(str(path), options, providers=chosen)
     except Exception as error:
         raise InputError(
             f"expected an ONNX model in {path}, ONNX Runtime says: {_short(error)}; name another file"
@@ -46,11 +46,6 @@ def open_model(name: str, *, device: str = "auto", threads: int | None = None, k
     Raises InputError: it cannot be found, or see there.
     """
     return open_session(find_model(name), device=device, threads=threads, keeps_memory=keeps_memory)
-
-
-def check_device_of_networks(device: str) -> None:
-    """Refuse a device that no session could be opened on. Raises InputError: unknown or absent."""
-    _providers(device)
 
 
 def run_depth_network(
@@ -94,7 +89,8 @@ def _short(error: Exception) -> str:
     return " ".join(f"{error!s:.{MAX_COMPLAINT_CHARS}}".split())
 
 
-def _providers(device: str) -> list[str]:
+def providers(device: str) -> list[str]:
+    """ONNX Runtime's names of what runs networks on a device, the first choice first. InputError: unknown or absent."""
     import onnxruntime
 
     if device not in DEVICES:

@@ -145,13 +145,10 @@ def _place_on_floor(build: SceneBuilder, cell: Cell, use: str, occupied: Occupie
     x, z = rng.uniform(low[0] + 0.9, high[0] - 0.9), rng.uniform(low[1] + 0.9, high[1] - 0.9)
     dice, local = rng.random(), LocalFrame(build, (x, 0.0, z), rng.uniform(-math.pi, math.pi))
     items: tuple[tuple[float, float, FurnitureMaker], ...] = (  # limit of the dice, radius in metres, what adds it
-        (0.45, 1.15, partial(_table_with_chairs, use=use)),
-        (0.6, 0.55, furniture.armchair),
-        (0.7, 0.4, furniture.chair),
-        (0.78, 0.4, lambda local: props.person(local.build, local.base)),
-        (0.86, 0.35, furniture.carton_pile),
-        (0.93, 0.4, partial(_column, height=cell.height)),
-    )
+        (0.45, 1.15, partial(_table_with_chairs, use=use)), (0.6, 0.55, furniture.armchair),
+        (0.7, 0.4, furniture.chair), (0.78, 0.4, lambda local: props.person(local.build, local.base)),
+        (0.86, 0.35, furniture.carton_pile), (0.93, 0.4, partial(_column, height=cell.height)),
+    )  # fmt: skip
     for limit, radius, add in items:
         if dice < limit and _is_free(occupied, x, z, radius):
             add(local)

@@ -39,15 +39,12 @@ def path_length(poses: Sequence[Pose]) -> float:
 def plan_path(
     poses: Sequence[Pose], frames: int, *, ease: Ease = "linear", heading: Heading = "panoramas"
 ) -> list[Waypoint]:
-    """Waypoints of ``frames`` frames from the first to the last panorama.
+    """Waypoints of ``frames`` frames, at least one per panorama, from the first to the last of two poses or more.
 
-    Args:
-        poses: world-from-camera, two or more.
-        frames: at least one per panorama.
-        ease: ``linear`` is constant speed, ``smooth`` starts and stops gently (smoothstep).
-        heading: which way the image centre looks: ``panoramas`` turns from each photograph's orientation to the next's,
-            so that the photographs themselves appear; ``first`` keeps the first one's; ``fixed`` keeps the world's axes
-            (centre along −z, level); ``travel`` looks along the way, level.
+    ``ease``: ``linear`` is constant speed, ``smooth`` starts and stops gently (smoothstep). ``heading`` is where the
+    image centre looks: ``panoramas`` turns from each photograph's orientation to the next's, so that the photographs
+    themselves appear; ``first`` keeps the first one's; ``fixed`` keeps the world's axes (centre along −z, level);
+    ``travel`` looks along the way, level.
 
     Raises ValueError: fewer than two poses, or fewer frames than poses.
     """

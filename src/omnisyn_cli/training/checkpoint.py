@@ -6,7 +6,6 @@ Training may begin with an exported network too: it becomes a checkpoint of its 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -24,19 +23,7 @@ REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 # What compact ones keep besides weights, as far as there is any.
 KEPT_KEYS = ("kind", "network", "training", "step", "scores", "best", "pool", "curve")
 MAX_REASON_CHARS = 200  # Characters of what torch says that are passed on
-# Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom.
-SEARCH_PATTERNS = ("[!.]*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/[!.]*.pt", "*/checkpoints/[!.]*.pt")
 SYNSIN = "synsin"  # The kind whose network is exported in parts, each with a role of its own: ``synsin-depth``, …
-
-
-@dataclass(frozen=True)
-class FoundCheckpoint:
-    """A checkpoint: its kind is one of :data:`omnisyn_cli.training.tasks.TASKS`, several networks have no variant."""
-
-    path: Path
-    kind: str
-    variant: str
-    step: int
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -138,14 +125,3 @@ def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
         expected, got = " or ".join(kinds), " and ".join(held)
         raise InputError(f"expected a {expected} network in {path}, got {got}; name another checkpoint")
     return found[0]
-
-
-def checkpoints_below(folder: Path) -> Iterator[FoundCheckpoint]:
-    """The checkpoints in a folder and where runs below it have theirs, by path; other files are passed over."""
-    for path in sorted({path for place in SEARCH_PATTERNS for path in folder.glob(place)}):
-        try:
-            state = load_checkpoint(path)
-        except InputError:
-            continue
-        if state["kind"] in TASKS:
-            yield FoundCheckpoint(path, state["kind"], str(state["network"].get("name", "")), int(state["step"]))

@@ -28,6 +28,7 @@ Sample = TypeVar("Sample")
 
 # By the command that makes a kind of pool, an array that only its files have.
 REQUIRED_ARRAYS = {"pool": "positions_0", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
+BLUR_REACH = 4  # Pixels that a blurred panorama is continued by
 MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbouring pixels of one surface
 
 
@@ -188,18 +189,14 @@ def vary_colours(
     varied = np.clip(colours * gain.astype(f32), 1e-4, 1.0) ** f32(1 + a.gamma * rng.uniform(-1, 1))
     for image in varied:
         if rng.random() < a.blur:
-            image[:] = _blur(image, rng.uniform(0.4, 1.2))
+            blurred = cv2.GaussianBlur(add_border(image, BLUR_REACH), (0, 0), rng.uniform(0.4, 1.2))
+            image[:] = blurred[BLUR_REACH:-BLUR_REACH, BLUR_REACH:-BLUR_REACH]
     sigma = f32(a.noise * rng.random() ** 2)
     varied = np.clip(varied + sigma * rng.standard_normal(varied.shape, dtype=f32), 0.0, 1.0)
     for image in varied:
         if rng.random() < a.jpeg:
             image[:] = _compress_jpeg(image, int(rng.integers(40, 96)))
     return np.asarray(varied, dtype=f32)
-
-
-def _blur(image: Float32[np.ndarray, "height width 3"], sigma: float) -> np.ndarray:
-    reach = 4
-    return np.asarray(cv2.GaussianBlur(add_border(image, reach), (0, 0), sigma))[reach:-reach, reach:-reach]
 
 
 def _compress_jpeg(image: Float32[np.ndarray, "height width 3"], quality: int) -> np.ndarray:

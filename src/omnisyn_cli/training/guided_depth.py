@@ -95,15 +95,11 @@ def _pair(
         guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
     sqrt_inv_depth = np.sqrt(data.at_block_centres(inverse_depth * np.float32(baseline), size)).clip(max=most)
     return GuidedBatch(
-        first=colours[0].transpose(2, 0, 1),
-        second=colours[1].transpose(2, 0, 1),
-        towards=towards.astype(np.float32)[:, None, None],
-        guidance=guidance,
+        first=colours[0].transpose(2, 0, 1), second=colours[1].transpose(2, 0, 1),
+        towards=towards.astype(np.float32)[:, None, None], guidance=guidance,
         unmatched=unmatched[None] * np.float32(bool(matching.any())),
-        sqrt_inv_depth=sqrt_inv_depth.astype(np.float32)[None],
-        ratio=np.float32(ratio),
-        is_mesh=np.bool_(walk.is_mesh),
-    )
+        sqrt_inv_depth=sqrt_inv_depth.astype(np.float32)[None], ratio=np.float32(ratio), is_mesh=np.bool_(walk.is_mesh),
+    )  # fmt: skip
 
 
 def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray, "4 rows cols"]:

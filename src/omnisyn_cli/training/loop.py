@@ -1,8 +1,7 @@
 """The training loop: constant rate after a warm-up, an average of the weights, a short cool-down.
 
-How long a run may last is rarely known, so the rate stays constant and the exponential average (EMA) is the model; when
-time is up, :attr:`TrainConfig.cooldown_steps` more steps take the rate to zero along a cosine. Everything is counted in
-steps: a run that is paused, killed or continued goes the same way, bit for bit on one machine.
+How long a run may last is rarely known, so the rate stays constant and the exponential average (EMA) is the model.
+Everything is counted in steps: a run that is paused, killed or continued goes the same way, bit for bit on one machine.
 """
 
 import math
@@ -64,17 +63,10 @@ class Trainer:
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
         return {
-            "kind": self.kind,
-            "network": self.network.config.as_dict(),
-            "training": asdict(self.config),
-            "step": self.step,
-            "cooldown_start": self.cooldown_start,
-            "scores": self.scores,
-            "best": self.best,
-            "weights": self.network.state_dict(),
-            "average": self.average,
-            "optimizer": self.optimizer.state_dict(),
-        }
+            "kind": self.kind, "network": self.network.config.as_dict(), "training": asdict(self.config),
+            "step": self.step, "cooldown_start": self.cooldown_start, "scores": self.scores, "best": self.best,
+            "weights": self.network.state_dict(), "average": self.average, "optimizer": self.optimizer.state_dict(),
+        }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""

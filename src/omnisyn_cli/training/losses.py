@@ -177,17 +177,14 @@ def completion_scores(
         return mean(_is_correct(inverse_depth, target.square(), factor), unreliable)
 
     return {
-        "unsure": mean(1.0 - reliable, area),
-        "error": mean((inverse_depth.sqrt() - target).abs(), unreliable),
-        "error_filled": mean((filled - target).abs(), unreliable),
-        "within_5": within(inverse_depth, 1.05),
-        "within_5_filled": within(filled.square(), 1.05),
-        "within_25": within(inverse_depth, 1.25),
+        "unsure": mean(1.0 - reliable, area), "error": mean((inverse_depth.sqrt() - target).abs(), unreliable),
+        "error_filled": mean((filled - target).abs(), unreliable), "within_5": within(inverse_depth, 1.05),
+        "within_5_filled": within(filled.square(), 1.05), "within_25": within(inverse_depth, 1.25),
         "within_25_filled": within(filled.square(), 1.25),
         "error_sure": mean((inverse_depth.sqrt() - target).abs(), area * reliable),
         "error_sure_filled": mean((filled - target).abs(), area * reliable),
         "confidence_error": mean((prediction.confidence() - correct).abs(), unreliable),
-    }
+    }  # fmt: skip
 
 
 # Weights of absolute errors, and of squared errors in units of the typical one.

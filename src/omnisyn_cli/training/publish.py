@@ -71,7 +71,8 @@ def publish(
                 f"expected ONNX Runtime to agree with torch within {PARITY}, got {worst:.1e}; not exported: "
                 "train it longer, weights of the first steps may answer with nothing but rounding"
             )
-    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry, _ in made})
+    entries = read_manifest(folder) | {entry.name: entry for entry, _ in made}
+    write_parts(folder / MANIFEST, [manifest_text(entries).encode()])
     return made
 
 
@@ -118,8 +119,3 @@ def _noise(network: Network, size: tuple[int, int]) -> Examples:
     for shape in free if network.ports.size is None else [size] * COMPARED_EXAMPLES:
         inputs = network.ports.input_shapes(shape).values()
         yield tuple(rng.random((1, *each), dtype=np.float32) for each in inputs)
-
-
-def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
-    """Write ``manifest.toml``, the inverse of :func:`omnisyn_cli.runtime.models.read_manifest`."""
-    write_parts(folder / MANIFEST, [manifest_text(entries).encode()])

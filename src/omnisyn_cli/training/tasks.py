@@ -147,47 +147,33 @@ def _completion_pictures(answer: completion.CompletionPrediction, batch: Feature
 # By the kind that a checkpoint names.
 TASKS: Mapping[str, Task] = {
     "paper": Task(
-        PaperConfig,
-        PAPER_VARIANTS,
-        PaperNetwork,
+        PaperConfig, PAPER_VARIANTS, PaperNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_pairs(
             pool, rng, stage.batch, stage.size, varied, network.config.max_sqrt_inv_depth
         ),
         loss=lambda answer, batch: losses.paper_loss(answer, batch.sqrt_inv_depth),
         scores=lambda answer, batch: losses.depth_scores(answer, batch.sqrt_inv_depth, batch.baseline),
-        pictures=_depth_pictures,
-        role="depth",
+        pictures=_depth_pictures, role="depth",
     ),
     "guided": Task(
-        GuidedDepthConfig,
-        guided_depth.GUIDED_DEPTH_VARIANTS,
-        guided_depth.GuidedDepthNetwork,
+        GuidedDepthConfig, guided_depth.GUIDED_DEPTH_VARIANTS, guided_depth.GuidedDepthNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_guided(
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
         inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
-        loss=guided_loss,
-        scores=guided_scores,
-        pictures=_guided_pictures,
-        role="guided-depth",
+        loss=guided_loss, scores=guided_scores, pictures=_guided_pictures, role="guided-depth",
     ),
     "completion": Task(
-        CompletionConfig,
-        completion.COMPLETION_VARIANTS,
-        completion.CompletionNetwork,
+        CompletionConfig, completion.COMPLETION_VARIANTS, completion.CompletionNetwork,
         draw=lambda pool, rng, stage, _, varied: draw_completion(
             pool, rng, stage.batch, stage.size, augment=varied is not None
         ),
         inputs=lambda _, batch: (batch.channels,),
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
-        scores=_completion_scores,
-        pictures=_completion_pictures,
-        pool="evidence",
+        scores=_completion_scores, pictures=_completion_pictures, pool="evidence",
     ),
     "fusion": Task(
-        FusionConfig,
-        FUSION_VARIANTS,
-        build_fusion,
+        FusionConfig, FUSION_VARIANTS, build_fusion,
         draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
         inputs=lambda network, batch: (losses.network_inputs(network.config, batch.channels),),
         answer=lambda network, batch: losses.fuse_with(network, batch.channels, batch.pictures),
@@ -197,29 +183,20 @@ TASKS: Mapping[str, Task] = {
         pool="fusion-pool",
     ),
     "joint": Task(
-        joint.JointConfig,
-        {},
-        joint.JointNetwork,
+        joint.JointConfig, {}, joint.JointNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_triples(
             pool, rng, stage.batch, stage.size, varied, network.depth.config.max_sqrt_inv_depth
         ),
-        answer=joint.joint_answer,
-        loss=joint.joint_loss,
-        scores=joint.joint_scores,
-        pictures=joint.joint_pictures,
+        answer=joint.joint_answer, loss=joint.joint_loss, scores=joint.joint_scores, pictures=joint.joint_pictures,
     ),
     "synsin": Task(
-        SynSinConfig,
-        SYNSIN_VARIANTS,
-        SynSinNetwork,
+        SynSinConfig, SYNSIN_VARIANTS, SynSinNetwork,
         draw=lambda pool, rng, stage, *_: draw_views(pool, rng, stage.batch, stage.size),
-        answer=synsin.render_pictures,
-        loss=synsin.reconstruction_loss,
-        scores=synsin.synsin_scores,
+        answer=synsin.render_pictures, loss=synsin.reconstruction_loss, scores=synsin.synsin_scores,
         pictures=synsin.synsin_pictures,
         held_out=lambda path, _, stage: synsin.load_views(path, stage.size),
     ),
-}
+}  # fmt: skip
 
 
 def task_of(config: NetworkConfig) -> str:

@@ -12,11 +12,8 @@ Finder = Callable[[Path], list[SceneSource]]
 
 # What finds the scenes of a folder, by the name of the layout; tried in this order.
 FORMATS: Mapping[str, Finder] = {
-    "omnisyn": own_scenes,
-    "carla": carla_scenes,
-    "m3d": habitat_scenes,
-    "zind": zind_scenes,
-}
+    "omnisyn": own_scenes, "carla": carla_scenes, "m3d": habitat_scenes, "zind": zind_scenes,
+}  # fmt: skip
 
 
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:

@@ -51,13 +51,10 @@ class PairConfidence:
     def describe(self) -> dict[str, float]:
         """The values, rounded, for people and for JSON."""
         return {
-            "score": round(self.score, 3),
-            "expected_db": round(self.expected, 2),
-            "unseen": round(self.unseen, 4),
-            "disagreement": round(self.depth_disagreement, 4),
-            "inconsistency": round(self.inconsistency, 4),
+            "score": round(self.score, 3), "expected_db": round(self.expected, 2), "unseen": round(self.unseen, 4),
+            "disagreement": round(self.depth_disagreement, 4), "inconsistency": round(self.inconsistency, 4),
             "doubling": round(self.doubling, 4),
-        }
+        }  # fmt: skip
 
 
 class WindowComparison(NamedTuple):

@@ -5,10 +5,6 @@ from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, cross_va
 from omnisyn_cli.fusion.photometry.exposure_matcher import ExposureMatcher
 
 __all__ = [
-    "ExposureCurve",
-    "ExposureMatcher",
-    "cross_validated_curve",
-    "darken_to_match",
-    "estimate_curve",
+    "ExposureCurve", "ExposureMatcher", "cross_validated_curve", "darken_to_match", "estimate_curve",
     "rough_exposure_curve",
-]
+]  # fmt: skip

@@ -23,7 +23,7 @@ from omnisyn_cli.geometry.sphere import (
     pixel_to_direction,
     pixel_to_texture,
 )
-from omnisyn_cli.interpolation.loading import PanoramaSurface
+from omnisyn_cli.interpolation.loading import PanoramaSurface, quantized_picture
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.meshes import write_ply
 from omnisyn_cli.io.outputs import make_folder, named_in, write_parts
@@ -81,7 +81,8 @@ def points_of(
     kept = (rho > 0) & (rho * farthest > 1)
     row, col, rho = row[kept], col[kept], rho[kept].astype(np.float64)
     direction = pixel_to_direction(row, col, mesh.size)
-    colour = _colours(picture, direction, max(height // stride, 1))
+    reduced = quantized_picture(picture, 2 * max(height // stride, 1)).astype(np.float32)
+    colour = np.asarray(np.rint(sample_bilinear(reduced, direction)), np.uint8)
     normal = _normals(mesh)[row, col]
     turn, cosine = _facing(direction, normal)
     across = DISC_RADIUS_SHARE * stride / pixel_scale(mesh.size)[0] / rho
@@ -90,15 +91,6 @@ def points_of(
         pose.transform(direction / rho[:, None]), colour, confidence[row, col], normal @ pose.rotation.T, radius,
         quaternion_from_rotation(pose.rotation @ turn),
     )  # fmt: skip
-
-
-def _colours(
-    picture: UInt8[np.ndarray, "rows cols 3"], direction: Float[np.ndarray, "points 3"], rows: int
-) -> UInt8[np.ndarray, "points 3"]:
-    """What a panorama shows in some directions once it is reduced to so many rows, if it has more."""
-    if len(picture) > rows:
-        picture = np.asarray(cv2.resize(picture, (2 * rows, rows), interpolation=cv2.INTER_AREA))
-    return np.asarray(np.rint(sample_bilinear(picture.astype(np.float32), direction)), np.uint8)
 
 
 def _places(height: int, width: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
