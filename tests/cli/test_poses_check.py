@@ -78,9 +78,22 @@ def test_the_height_of_the_camera_follows_from_the_distance_given(tmp_path: Path
     assert pair["camera_height"] is None
 
 
-def test_the_height_of_the_camera_gives_metres(tmp_path: Path, omnisyn: Omnisyn) -> None:
+@pytest.mark.parametrize(
+    ("heights", "words"),
+    [(None, "1 of 1 pairs see"), ([], "matched points tell"), ([0.5], "planes that matched points do not confirm")],
+)
+def test_the_height_of_the_camera_gives_metres_or_none(
+    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch, heights: list[float] | None, words: str
+) -> None:
+    """By the floor; by points where no plane is found, as around a tripod; not by a table."""
+    if heights is not None:
+        monkeypatch.setattr("omnisyn_cli.poses.estimation.floor_heights", lambda _: heights)
     pictures, output = (STREET / "first.jpg", STREET / "second.jpg"), tmp_path / "found.json"
-    omnisyn.made("poses", "estimate", *pictures, "--camera-height", 2.418, "-o", output)
+    command = ("poses", "estimate", *pictures, "--camera-height", 2.418, "-o", output)
+    if heights:
+        assert words in omnisyn.refused(*command)
+        return
+    assert words in omnisyn.made(*command).err
     lengths = [
         np.linalg.norm(np.subtract(*(read_poses(file).of(picture.name).pose.position for picture in pictures)))
         for file in (output, STREET / "poses.json")

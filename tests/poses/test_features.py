@@ -16,8 +16,14 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.images import outside_nadir
 from omnisyn_cli.poses.estimation import PictureOptions, check_poses, estimate_poses
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile
-from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_in_depth
-from omnisyn_cli.poses.registration.features import find_features, grey_of, match_features
+from omnisyn_cli.poses.floor import (
+    FLOOR_SIZE,
+    floor_heights,
+    height_above_points,
+    height_in_depth,
+    level_of_points,
+)
+from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import angle_between, direction_error, rotation_error
 from omnisyn_cli.poses.registration.robust import estimate_relative_pose
 from omnisyn_cli.poses.registration.scan import find_lines, find_vertical, scan_panorama
@@ -166,6 +172,21 @@ def test_depth_shows_the_floor_if_both_panoramas_agree():
     assert height_in_depth(tuple(poses), (first, lower)) is None
     unknown = replace(second, confidence=np.zeros_like(second.confidence))
     assert height_in_depth(tuple(poses), (first, unknown)) is None
+
+
+@pytest.mark.parametrize(
+    ("floor", "table", "height"), [(40, 60, HEIGHT), (12, 60, None), (0, 60, HEIGHT - TABLE_HEIGHT), (4, 4, None)]
+)
+def test_points_tell_the_lowest_level_that_has_none_below(floor: int, table: int, height: float | None) -> None:
+    """A table is no floor where some points lie below it; reflections of lamps lie far below any floor."""
+    rng = np.random.default_rng(6)
+    levels = np.repeat([0.0, TABLE_HEIGHT, -3.0], [floor, table, 10])
+    points = np.column_stack([rng.uniform(-2.0, 2.0, len(levels)), levels, rng.uniform(-2.0, 2.0, len(levels))])
+    poses = [Pose(np.eye(3), np.array([x, HEIGHT, 0.0])) for x in (0.0, 1.0)]
+    first, second = (each - pose.position for each, pose in ((points, poses[0]), (points, poses[1])))
+    rays = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (first, second))
+    level = level_of_points(height_above_points(*poses, Matches(*rays, pixel=0.003)))
+    assert (level and level[0]) == (height and pytest.approx(height, rel=0.01))
 
 
 def test_without_a_floor_there_is_no_height():

@@ -8,11 +8,12 @@ from registration_samples import street_image
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sphere import UP, pixel_directions
+from omnisyn_cli.geometry.sphere import FORWARD, UP, pixel_directions
 from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
-from omnisyn_cli.poses.gravity import gravity_of_picture
+from omnisyn_cli.poses.gravity import Gravity, gravity_of_picture
+from omnisyn_cli.poses.registration.scan import Vertical
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 SIZE = (384, 768)
@@ -51,7 +52,7 @@ def test_most_pictures_that_are_not_upright_are_named_and_no_upright_one(picture
     assert rolled.count("rolled by 90°") >= 2
 
 
-def test_a_tour_and_info_say_so_with_the_remedy(tmp_path):
+def test_a_tour_and_info_say_so_with_the_remedy_unless_the_pictures_disagree(tmp_path, monkeypatch):
     paths = [tmp_path / name for name in ("a.png", "b.png")]
     for index, path in enumerate(paths):
         write_image(path, np.ascontiguousarray(street_image(index, SIZE)[::-1, ::-1]).astype(np.float32))
@@ -59,3 +60,9 @@ def test_a_tour_and_info_say_so_with_the_remedy(tmp_path):
     assert describe_file(paths[0])["looks"] == remedy
     notes = estimate_poses(paths, (1.0,), PictureOptions(threads=1)).notes
     assert [f"{path.name} looks {remedy}" in notes for path in paths] == [True, True]
+    answers = [
+        Gravity(Vertical(up, 0.0, True), held) for up, held in ((-UP, "upside down"), (FORWARD, "rolled by 90°"))
+    ]
+    monkeypatch.setattr("omnisyn_cli.poses.estimation.gravity_of", lambda *_: answers.pop())
+    notes = estimate_poses(paths, (1.0,), PictureOptions(threads=1)).notes
+    assert not any(" looks " in note for note in notes)

@@ -39,13 +39,17 @@ def test_the_truth_is_found_among_wrong_matches(seed, wrong):
     assert abs(estimate.inliers.mean() - (1 - wrong)) < 0.1
 
 
-def test_points_on_one_plane_are_enough():
+def test_points_on_one_plane_are_enough_and_said():
+    """Two rooms may have one floor covering; a dozen points of anything else tell them apart."""
     rng = np.random.default_rng(5)
     pose = Pose(rotation_from_rotation_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.2, 0.3]))
     exact = seen(Pose.identity(), pose, world_points(rng, 300, "plane"))
     matches = Matches(exact.first, unit(exact.second + rng.normal(size=(300, 3)) * 0.1 * PIXEL), PIXEL)
     estimate = robust.estimate_relative_pose(matches)
     assert rotation_error(estimate.first_from_second, relative_pose(Pose.identity(), pose)) < np.radians(0.1)
+    assert estimate.is_planar
+    others = seen(Pose.identity(), pose, world_points(rng, 12))
+    assert not robust.estimate_relative_pose(matches + others).is_planar
 
 
 @pytest.mark.parametrize("metres", [0.0, 1e-3])

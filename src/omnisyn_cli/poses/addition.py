@@ -9,9 +9,10 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation
 from omnisyn_cli.poses.estimation import PictureOptions, PoseGraph, check_images, solve_pose_graph, usable_pictures
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, add_entries
-from omnisyn_cli.poses.registration.scan import scan_panorama
+from omnisyn_cli.poses.registration.scan import likeness, scan_panorama
 from omnisyn_cli.poses.tour import links_between
 
+NEAR_PANORAMAS = 5  # with poses that a new one is matched with: those that share most features
 MIN_SPREAD_METRES = 1e-6  # of places around their middle: less is one place
 MAX_GOOD_MISFIT = 0.1  # of the known places to the pictures, as a share of their spread. Set by hand.
 
@@ -21,8 +22,9 @@ def add_to_file(
 ) -> tuple[str, ...]:
     """Find new panoramas against those that have poses, and write the file with them, and their links if it has links.
 
-    All are matched together. Where a new one is follows from those that match it, turned, scaled and moved to the poses
-    that these have. Masks of the options are those of all, the new ones last. What there is to say comes back.
+    They are matched with those that look most like them, and these with each other. Where a new one is follows from
+    those that match it, turned, scaled and moved to the poses that these have. Masks of the options are those of all,
+    the new ones last. What there is to say comes back.
 
     Raises InputError: unusable images, or one named twice; PoseError: a new one has a pose, lies elsewhere than the
     pose file, or does not match two panoramas at different places.
@@ -33,18 +35,24 @@ def add_to_file(
     names = [*(pose_file.name_of(image) for image in images), *(_new_name(image, pose_file) for image in new)]
     masks = [*(entry.mask for entry in known), *(None for _ in new)]
     scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(every, options, masks)]
-    graph = solve_pose_graph(every, scans, {}, must_place_all=False, is_ordered=False)
-    given, notes, found = {k: entry.pose for k, entry in enumerate(known)}, [], {}
-    for k in range(len(images), len(every)):
-        pose, note = _placed(k, every[k], graph, given)
+    count, near = len(images), set[int]()
+    for scan in scans[count:]:
+        alike = np.array([likeness(each, scan) for each in scans[:count]])
+        near.update(np.argsort(-alike, kind="stable")[:NEAR_PANORAMAS].tolist())
+    chosen = [*sorted(near), *range(count, len(every))]
+    some = [every[k] for k in chosen], [scans[k] for k in chosen]
+    graph = solve_pose_graph(*some, {}, must_place_all=False, is_ordered=False)
+    given, notes, found = {index: known[k].pose for index, k in enumerate(sorted(near))}, [], {}
+    for index, k in enumerate(chosen[len(near) :], len(near)):
+        pose, note = _placed(index, every[k], graph, given)
         found[names[k]] = PosedPanorama(pose)
         notes.append(f"{every[k].name}: {note}")
     links = None
     if pose_file.links is not None:
         entries = {**pose_file.panoramas, **found}
         places = np.stack([entry.pose.position for entry in entries.values()])
-        near = links_between([*entries], places, [(names[edge.first], names[edge.second]) for edge in graph.edges])
-        links = [link for link in near if not found.keys().isdisjoint(link)]
+        matched = [(names[chosen[edge.first]], names[chosen[edge.second]]) for edge in graph.edges]
+        links = [link for link in links_between([*entries], places, matched) if not found.keys().isdisjoint(link)]
     add_entries(pose_file, output, found, links)
     return (*notes, f"{output}: {len(new)} added, {len(pose_file.panoramas)} poses as they were")
 

@@ -163,9 +163,7 @@ def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
         raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
     if entry.matrix is not None:
         return _matrix_pose(where, np.array(entry.matrix), entry.position)
-    rotation = checked_quaternion(
-        f"{where}.rotation", np.array(entry.rotation), "a unit quaternion [w, x, y, z]", "divide it by its length"
-    )
+    rotation = checked_quaternion(f"{where}.rotation", np.array(entry.rotation))
     return Pose(rotation, _position(where, entry.position))
 
 
@@ -187,41 +185,34 @@ def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -
                 f"{translation.tolist()}; remove position"
             )
         position = translation.tolist()
-    return Pose(rigid_rotation(where, matrix[:3, :3]), _position(where, position))
+    return Pose(checked_rotation(f"{where}.matrix", matrix[:3, :3]), _position(where, position))
 
 
-def rigid_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """As :func:`checked_rotation`, with remedies for the author of a pose file."""
-    return checked_rotation(
-        f"{where}.matrix", matrix, kind="a rigid rotation", unscaled="remove scale and shear",
-        unmirrored="the axes are x right, y up, −z forward: flip two axes, not one",
-    )  # fmt: skip
-
-
-def checked_rotation(
-    where: str, matrix: Float[np.ndarray, "3 3"], *, kind: str = "a rotation",
-    unscaled: str = "check the format, or remove scale and shear", unmirrored: str = "check the format",
-) -> Float[np.ndarray, "3 3"]:  # fmt: skip
+def checked_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     """The rotation that a matrix of limited precision stands for.
 
-    Messages begin with ``where``, call it ``kind`` and end with what to do about scale and shear, or a mirror image.
-    PoseError: scale, shear, a mirror image, NaN.
+    PoseError, which begins with ``where``: scale, shear, a mirror image, NaN.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # giant numbers are refused as well
         deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if not deviation <= UNIT_TOLERANCE:
-        raise PoseError(f"{where}: expected {kind} (RᵀR = 1), got a deviation of {deviation:.3g}; {unscaled}")
+        raise PoseError(
+            f"{where}: expected a rigid rotation (RᵀR = 1), got a deviation of {deviation:.3g}; remove scale and "
+            "shear, or check the format"
+        )
     if np.linalg.det(matrix) < 0:
-        raise PoseError(f"{where}: expected a rotation (determinant +1), got a mirror image (−1); {unmirrored}")
+        raise PoseError(
+            f"{where}: expected a rotation (determinant +1), got a mirror image (−1); flip two axes, not one, or check "
+            "the format"
+        )
     return nearest_rotation(matrix)
 
 
-def checked_quaternion(
-    where: str, quaternion: Float[np.ndarray, " 4"], kind: str = "a unit quaternion",
-    remedy: str = "check the order of the columns",
-) -> Float[np.ndarray, "3 3"]:  # fmt: skip
+def checked_quaternion(where: str, quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
     """Rotation of a quaternion ``[w, x, y, z]`` of about unit length; else a PoseError that begins with ``where``."""
     length = math.hypot(*quaternion)  # which, unlike a sum of squares, does not overflow
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
-        raise PoseError(f"{where}: expected {kind}, got length {length:.6g}; {remedy}")
+        raise PoseError(
+            f"{where}: expected a unit quaternion, got length {length:.6g}; check its order, or divide it by its length"
+        )
     return rotation_from_quaternion(quaternion)

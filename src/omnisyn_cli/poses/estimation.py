@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -50,13 +51,27 @@ DEFAULT_BASELINE = 1.0  # Metres between two panoramas where no baseline is give
 
 # Of the heights that pairs see: pavements, carpets and decks lie above the floor, and nothing below it.
 FLOOR_QUANTILE = 0.75
+# Pairs that are enough to tell a floor; relative difference up to which matched points confirm what fewer see.
+MIN_FLOOR_PAIRS, MAX_LEVEL_ERROR = 3, 0.05
+MAX_CLIMB = math.tan(math.radians(10.0))  # between cameras at one height above a floor that may slope
 MAX_KNOWN_SPREAD = 0.25  # Relative standard deviation of a distance beyond which it is not known
-# Why a pair is not used.
-FEW_REASON, CONTRADICTION_REASON = "too few matches (of {})", "a pose that contradicts other pairs"
-AMBIGUITY_REASON = "two poses that fit about equally well (repeated tiles or windows?)"
-APART_REASON = "a pose that nothing connects with the larger group"
+MIN_ZENITH_AGREEMENT = 0.8  # Cosine between a zenith and the mean of a set from which on they are the same
 # Of a set that each panorama is compared with, besides its neighbours: those that share most features.
 LIKE_PANORAMAS = 2
+
+
+class Reason(Enum):
+    """Why a pair that was compared is not used, in words about its number of matches."""
+
+    FEW = "too few matches (of {})"
+    AMBIGUITY = "two poses that fit about equally well (repeated tiles or windows?)"
+    PLANE = "matches on one plane only, a floor or wall that other places may have as well"
+    CONTRADICTION = "a pose that contradicts other pairs"
+    APART = "a pose that nothing connects with the larger group"
+
+
+Unused = dict[tuple[int, int], tuple[Reason, int]]
+"""Pairs that were compared and are not used, why, and how many matches they have."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +130,7 @@ class PoseGraph:
 
     poses: dict[int, Pose]  # in a world of their own; the unit is a baseline
     edges: list[Edge]  # pairs whose relative poses agree
-    unused: Mapping[tuple[int, int], str]  # why pairs that were compared are not among them
+    unused: Unused  # pairs that are not among them
     adjusted: Adjustment | None  # all poses adjusted together; None of a single pair
 
 
@@ -198,8 +213,8 @@ def estimate_poses(
     scale, scale_note = _scale(world, order, scans, edges, baselines, camera_height)
     known = {pair: _relative_uncertainty(*pair, graph) for pair in pairwise(order)}
     notes = [f"{images[order[0]].name} is at the origin; {level_note}", scale_note, *_pair_notes(images, edges, known)]
-    notes += [*_partial_notes(images, scans), *repeats, *_attitude_notes(images, scans)]
-    reasons = {pair: why for pair, why in graph.unused.items() if not why.startswith(FEW_REASON.split(" (")[0])}
+    notes += [*_partial_notes(images, scans), *repeats, *_attitude_notes(images, scans, world)]
+    reasons = {pair: why.value for pair, (why, _) in graph.unused.items() if why is not Reason.FEW}
     notes += [f"{' and '.join(images[k].name for k in pair)} are not used: {why}" for pair, why in reasons.items()]
     if left_out := [image.name for k, image in enumerate(images) if k not in graph.poses]:
         notes.append(f"left out, as nothing tells where they are: {', '.join(left_out)}")
@@ -238,13 +253,14 @@ def solve_pose_graph(
     kept = {(edge.first, edge.second) for edge in edges}
     for edge in matched:
         if (pair := (edge.first, edge.second)) not in kept:
-            unused[pair] = CONTRADICTION_REASON if set(pair) <= poses.keys() else APART_REASON
+            why = Reason.CONTRADICTION if set(pair) <= poses.keys() else Reason.APART
+            unused[pair] = why, len(edge.estimate.inliers)
     return PoseGraph(adjusted.poses if adjusted else poses, edges, unused, adjusted)
 
 
-def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], dict[tuple[int, int], str]]:
+def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], Unused]:
     """Pairs whose relative pose is found, and why it is not found of others that were tried."""
-    count, unused = len(scans), dict[tuple[int, int], str]()
+    count, unused = len(scans), Unused()
     alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
     ranked = sorted(alike, key=lambda pair: (-alike[pair], pair))
     wanted = {pair for k in range(count) for pair in [p for p in ranked if k in p][:LIKE_PANORAMAS]}
@@ -252,11 +268,13 @@ def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edg
 
     def attempt(pair: tuple[int, int]) -> None:
         estimate, matches = register_pair(scans[pair[0]], scans[pair[1]])
-        if estimate is not None and estimate.rival is None:
+        if estimate is None:
+            unused[pair] = Reason.FEW, len(matches)
+        elif estimate.is_planar or estimate.rival is not None:
+            unused[pair] = Reason.PLANE if estimate.is_planar else Reason.AMBIGUITY, len(matches)
+        else:
             agreeing, others = (matches.select(mask) for mask in (estimate.inliers, ~estimate.inliers))
             edges.append(Edge(*pair, estimate, agreeing, others))
-        else:
-            unused[pair] = (FEW_REASON if estimate is None else AMBIGUITY_REASON).format(len(matches))
 
     neighbours = set(pairwise(range(count))) if is_ordered else set()
     for pair in sorted(wanted | neighbours):
@@ -276,23 +294,24 @@ def _partial_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
     return [f"left and right edges do not meet in {names}; is that all of the sphere? (--hfov)"] if partial else []
 
 
-def _attitude_notes(images: Sequence[Path], scans: Sequence[Scan]) -> list[str]:
-    """About cameras that do not seem to have been held upright."""
-    held = [gravity_of(scan.small, scan.lines, scan.usable).attitude for scan in scans]
+def _attitude_notes(images: Sequence[Path], scans: Sequence[Scan], world: Mapping[int, Pose]) -> list[str]:
+    """About cameras that do not seem to have been held upright, unless most of the others tell another zenith."""
+    held = [gravity_of(scan.small, scan.lines, scan.usable) for scan in scans]
+    zeniths = {k: pose.rotation @ held[k].vertical.up for k, pose in world.items()}
+    most = normalize(np.sum([*zeniths.values()], axis=0))
     return [
-        f"{image.name} looks {held_so}; {REMEDIES[held_so]}"
-        for image, held_so in zip(images, held, strict=True)
-        if held_so in REMEDIES
+        f"{image.name} looks {held[k].attitude}; {REMEDIES[held[k].attitude]}"
+        for k, image in enumerate(images)
+        if held[k].attitude in REMEDIES and zeniths.get(k, most) @ most > MIN_ZENITH_AGREEMENT
     ]
 
 
-def _unplaced(
-    images: Sequence[Path], placed: Sequence[int], unused: Mapping[tuple[int, int], str], notes: Sequence[str]
-) -> PoseError:
+def _unplaced(images: Sequence[Path], placed: Sequence[int], unused: Unused, notes: Sequence[str]) -> PoseError:
     pair = next(pair for pair in unused if len(placed) < 2 or not set(pair) <= set(placed))
-    first, second = (images[k] for k in pair)
+    (reason, count), (first, second) = unused[pair], (images[k] for k in pair)
+    why = reason.value.format(count)
     return PoseError(
-        f"{first} and {second}: expected more matches that agree with a pose than by chance, got {unused[pair]}; "
+        f"{first} and {second}: expected more matches that agree with a pose than by chance, got {why}; "
         f"{'; '.join([*notes, 'give their poses in a file, or take a panorama between them'])}"
     )
 
@@ -326,7 +345,7 @@ def _scale(
         metres = camera_height / height
         return metres, (
             f"{camera_height:g} m above the floor, which {source}: neighbours are {mean * metres:.2f} m apart on "
-            f"average{'' if spread is None else ', ' + _known_within(spread)}"
+            f"average, {_known_within(spread)}"
         )
     if len(baselines) > 1:
         return 1.0, f"distances between neighbours as given ({', '.join(f'{length:g}' for length in baselines)} m)"
@@ -335,25 +354,30 @@ def _scale(
     return length / mean, f"neighbours are taken to be {length:g} m apart{' on average' * (len(steps) > 1)}, {said}"
 
 
-def _camera_height(
-    world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]
-) -> tuple[float, float | None, str]:
-    """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it."""
+def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]) -> tuple[float, float, str]:
+    """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it.
+
+    Furniture may be all that a few pairs see, so matched points have to agree with them. Pairs on stairs do not count.
+    """
+    steps = [world[edge.second].position - world[edge.first].position for edge in edges]
+    chosen = [edge for edge, step in zip(edges, steps, strict=True) if abs(step[1]) < MAX_CLIMB * np.hypot(*step[::2])]
     views = {k: View(scans[k].small, pose, scans[k].usable) for k, pose in world.items()}
-    heights = floor_heights([(views[edge.first], views[edge.second]) for edge in edges])
-    if len(heights) > 1 or (heights and len(edges) == 1):
+    heights = floor_heights([(views[edge.first], views[edge.second]) for edge in chosen])
+    if len(heights) >= MIN_FLOOR_PAIRS:
         height = float(np.quantile(heights, FLOOR_QUANTILE))
-        spread = float(np.median(np.abs(np.array(heights) - height))) / height if len(heights) > 2 else None
+        spread = float(np.median(np.abs(np.array(heights) - height))) / height
         return height, spread, f"{len(heights)} of {len(edges)} pairs see"
-    apart = [edge for edge in edges if not edge.estimate.have_same_position]
-    points = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in apart]
+    points = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
     level = level_of_points(np.concatenate([np.zeros(0), *points]))
-    if level is None:
+    if level is None or any(abs(height / level[0] - 1.0) > MAX_LEVEL_ERROR for height in heights):
+        found = "none" if chosen else "cameras at different heights (stairs?)"
+        found = "planes that matched points do not confirm (furniture?)" if heights else found
         raise PoseError(
-            "expected a floor that two panoramas see, to measure the height of the camera from, got none; give the "
+            f"expected a floor that two panoramas see, to measure the height of the camera from, got {found}; give the "
             "distance between neighbours instead (--baseline)"
         )
-    return *level, "matched points tell"
+    source = f"{len(heights)} of {len(edges)} pairs see" if heights else "matched points tell"
+    return float(np.mean(heights or level[:1])), level[1], source
 
 
 def _known_within(spread: float) -> str:

@@ -27,9 +27,9 @@ from omnisyn_cli.poses.entries import (
     GeographicEntry,
     PoseDocument,
     RigidEntry,
+    checked_rotation,
     path_problem,
     pose_from_entry,
-    rigid_rotation,
 )
 
 POSES_NAME = "poses.json"  # What a pose file is called where a folder stands for its panoramas
@@ -278,7 +278,7 @@ def _entry(path: Path, name: str, value: Mapping[str, Any], allow_outside: bool)
 
 
 def _entry_values(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
-    rotation = quaternion_from_rotation(rigid_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
+    rotation = quaternion_from_rotation(checked_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
     pose = {"position": panorama.pose.position.tolist(), "rotation": rotation.tolist()}
     words = {key: text for key, text in (("title", panorama.title), ("caption", panorama.caption)) if text}
     known = _uncertainty_values(panorama.uncertainty)

@@ -34,6 +34,9 @@ HEIGHT_STEP = 0.03
 # below that the floor has to be.
 MIN_DEPRESSION_SINE, MIN_LEVEL_SHARE = 0.2, 0.15
 MIN_LEVEL_POINTS = 25  # Matched points that have to lie at the level of a floor where no plane is found
+# Relative spread of such points, and share of points below, up to which the level is a floor and no table. What lies
+# farther below than this factor is a reflection.
+MAX_LEVEL_SPREAD, MAX_SHARE_BELOW, REFLECTION_RATIO = 0.03, 0.1, 2.5
 # Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres.
 SAME_FLOOR_RATIO = 1.13
 
@@ -112,11 +115,14 @@ def level_of_points(heights: Float[np.ndarray, " points"]) -> tuple[float, float
     logs = np.log(heights[heights > 0.0])
     if len(logs) < MIN_LEVEL_POINTS:
         return None
-    floor = _level(logs, np.ones(len(logs)))
-    off = np.abs(logs[_is_same(np.exp(logs), floor)] - math.log(floor)) if floor is not None else logs[:0]
-    if floor is None or len(off) < max(MIN_LEVEL_POINTS, MIN_LEVEL_SHARE * len(logs)):
+    rough = _level(logs, np.ones(len(logs)))
+    there = logs[_is_same(np.exp(logs), rough)] if rough is not None else logs[:0]
+    if len(there) < max(MIN_LEVEL_POINTS, MIN_LEVEL_SHARE * len(logs)):
         return None
-    return floor, float(np.median(off))
+    floor = float(np.median(there))
+    spread, off = float(np.median(np.abs(there - floor))), logs - floor
+    is_below = (off > math.log(SAME_FLOOR_RATIO)) & (off < math.log(REFLECTION_RATIO))
+    return (math.exp(floor), spread) if spread < MAX_LEVEL_SPREAD and is_below.mean() < MAX_SHARE_BELOW else None
 
 
 def height_in_depth(poses: tuple[Pose, Pose], depths: tuple[DepthEstimate, DepthEstimate]) -> float | None:

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import nearest_rotation, rotation_angle
+from omnisyn_cli.geometry.pose import rotation_angle
 from omnisyn_cli.poses.registration.features import MAX_FEATURES, match_features
-from omnisyn_cli.poses.registration.robust import inlier_threshold
+from omnisyn_cli.poses.registration.robust import best_rotation, inlier_threshold, rotation_residual
 from omnisyn_cli.poses.registration.scan import LIKENESS_FEATURES, Scan
 
 # Matches of the strongest features, and the share of them without parallax, from which on all features are compared:
@@ -18,7 +18,6 @@ from omnisyn_cli.poses.registration.scan import LIKENESS_FEATURES, Scan
 MIN_MATCHES, MIN_SCREENING_SHARE = 20, 0.4
 MIN_SHARE = 0.9  # the same of all features, which have 0.93 or more in them
 MIN_TURN = math.radians(1.0)  # radians by which a second picture of a place has to be turned to show anything new
-FIT_ROUNDS, FIRST_WIDTH = 8, 16.0  # rounds of reweighted least squares, and the width of the first in thresholds
 
 
 def without_repeats(images: Sequence[Path], scans: Sequence[Scan]) -> tuple[list[Path], list[Scan], list[str]]:
@@ -52,11 +51,9 @@ def group_by_place(scans: Sequence[Scan]) -> list[list[int]]:
     places: list[list[int]] = []
     for index, scan in enumerate(scans):
         known = (place for place in places if rotation_between(scans[place[0]], scan) is not None)
-        place = next(known, None)
-        if place is None:
-            places.append([index])
-        else:
-            place.append(index)
+        if (place := next(known, None)) is None:
+            places.append(place := [])
+        place.append(index)
     return places
 
 
@@ -66,11 +63,7 @@ def rotation_between(first: Scan, second: Scan) -> Float[np.ndarray, "3 3"] | No
         matches = match_features(*(scan.features.strongest(count) for scan in (first, second)))
         if len(matches) < MIN_MATCHES:
             return None
-        weight, scale = np.ones(len(matches)), inlier_threshold(matches)
-        for width in np.geomspace(FIRST_WIDTH, 1.0, FIT_ROUNDS) * scale:
-            rotation = nearest_rotation(np.einsum("n,ni,nj->ij", weight, matches.first, matches.second))
-            off = np.linalg.norm(matches.first - matches.second @ rotation.T, axis=1)
-            weight = 1.0 / (1.0 + (off / width) ** 2) ** 2
-        if np.mean(off < scale) < least:
+        rotation = best_rotation(matches, scale := inlier_threshold(matches))
+        if np.mean(rotation_residual(rotation, matches) < scale) < least:
             return None
     return rotation

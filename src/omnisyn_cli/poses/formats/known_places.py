@@ -11,12 +11,12 @@ Source: Google, "Photo Sphere XMP Metadata"; Exif 2.32 and 3.0, GPS attribute in
 
 import os
 from collections.abc import Mapping, Sequence
-from itertools import takewhile
 from pathlib import Path
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.decode import ImageHeader, read_header
 from omnisyn_cli.io.documents import listed
+from omnisyn_cli.poses.file import distinct_names
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, images_in, noted
 from omnisyn_cli.poses.formats.geographic import Place, altitudes_note, imported_places
 
@@ -31,7 +31,7 @@ def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
         for path in images_in(source) if source.is_dir() else [source]:
             files.setdefault(os.path.realpath(path), path)
     paths = list(files.values())
-    headers = {name: read_header(path) for name, path in zip(_names(paths), paths, strict=True)}
+    headers = {name: read_header(path) for name, path in zip(distinct_names(paths), paths, strict=True)}
     placed = {name: header for name, header in headers.items() if _has_place(header)}
     where = str(sources[0])
     if not placed:
@@ -43,14 +43,6 @@ def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
     places = {name: _place_in_exif(header, has_pose=name not in untold) for name, header in placed.items()}
     notes = _exif_notes(list(placed.values()), [name for name in headers if name not in placed], untold)
     return imported_places(where, places, {name: header.path for name, header in placed.items()}, options, notes)
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Paths from the folder that all images lie below: their file names, where that is their own folder."""
-    places = [Path(os.path.realpath(path.parent), path.name) for path in paths]
-    levels = zip(*(place.parent.parts for place in places), strict=False)
-    shared = len(list(takewhile(lambda level: len(set(level)) == 1, levels)))
-    return ["/".join(place.parts[shared:]) for place in places]
 
 
 def _has_place(header: ImageHeader) -> bool:

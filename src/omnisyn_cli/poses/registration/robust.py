@@ -85,6 +85,10 @@ REFINED_HYPOTHESES = 6  # Hypotheses that are refined
 # Radians of rotation or direction from which on another pose is a rival, and its logarithm over that of the best pose.
 RIVAL_ANGLE, RIVAL_SHARE = math.radians(10.0), 0.6
 
+# Share of the matches of a pose with parallax from which on they are one plane, and inlier thresholds around it in the
+# rounds of least squares.
+MIN_PLANE_SHARE, PLANE_WIDTHS = 0.92, np.geomspace(16.0, 2.0, 8)
+
 # Share of the matches that agree with a known or an upright pose from which on no general one is looked for.
 CLEAR_SHARE = 0.6
 # Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place.
@@ -102,6 +106,7 @@ class Estimate:
     uncertainty: Uncertainty  # of rotation and direction
     have_same_position: bool  # the panoramas were taken (nearly) from one place; there is no direction
     rival: Pose | None = None  # quite another pose that the other matches support nearly as well; None without one
+    is_planar: bool = False  # nothing but one plane supports it
 
 
 @dataclass(frozen=True)
@@ -127,21 +132,24 @@ def estimate_relative_pose(
     if len(matches) < MIN_MATCHES:
         return None
     scale = inlier_threshold(matches)
-    pose, *others = _likely_poses(matches, known, scale, verticals)
+    poses = _likely_poses(matches, known, scale, verticals)
+    needed = MIN_INLIER_SHARE * len(matches)
+    supported = (each for each in poses if support_mask(each, matches, scale).sum() >= needed)
+    pose = next((each for each in supported if not _is_planar(each, matches, verticals)), poses[0])
     inliers = support_mask(pose, matches, scale)
-    rotation = _best_rotation(matches, scale)
-    turned = _rotation_residual(rotation, matches)
+    rotation = best_rotation(matches, scale)
+    turned = rotation_residual(rotation, matches)
     count, in_place = int(inliers.sum()), int((turned < scale).sum())
-    is_turn = in_place >= max(MIN_TURN_INLIERS, MIN_INLIER_SHARE * len(matches))
-    if count < MIN_INLIER_SHARE * len(matches) or log_false_alarms(pose, matches, verticals) > MAX_LOG_FALSE_ALARMS:
+    is_turn = in_place >= max(MIN_TURN_INLIERS, needed)
+    if count < needed or log_false_alarms(pose, matches, verticals) > MAX_LOG_FALSE_ALARMS:
         return _in_place(matches, rotation, turned, scale) if is_turn else None
     agreed = matches.select(inliers)
     spread = uncertainty(pose, agreed)
     if in_place >= MIN_ROTATION_ONLY_SHARE * count or spread.direction > MAX_DIRECTION_STD:
         return _in_place(matches, rotation, turned, scale) if is_turn else None
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
-    rival = _rival(pose, others, matches, verticals)
-    return Estimate(pose, inliers, residual, spread, have_same_position=False, rival=rival)
+    rival, is_planar = _rival(pose, poses, matches, verticals), _is_planar(pose, matches, verticals)
+    return Estimate(pose, inliers, residual, spread, have_same_position=False, rival=rival, is_planar=is_planar)
 
 
 def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Verticals | None) -> Pose | None:
@@ -158,6 +166,29 @@ def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Vert
             if min(len(own), len(its)) > 0 and log_false_alarms(other, its, verticals) < limit:
                 return other
     return None
+
+
+def _is_planar(pose: Pose, matches: Matches, verticals: Verticals | None) -> bool:
+    """Whether one plane is all that supports a pose: a floor or wall with a pattern that other places have as well.
+
+    Even without a pattern a plane leaves two poses (Longuet-Higgins, The reconstruction of a plane surface from two
+    perspective projections, 1986).
+    """
+    scale = inlier_threshold(matches)
+    turned = matches.second @ pose.rotation.T
+    parallax = np.linalg.norm(np.cross(matches.first, turned), axis=1)
+    is_near = support_mask(pose, matches, scale) & (parallax > PLANE_WIDTHS[-1] * scale)
+    weight = is_near.astype(float)
+    rows = np.linalg.norm(np.cross(pose.position, turned), axis=1)[:, None] * matches.first
+    for width in PLANE_WIDTHS * scale:
+        root = np.sqrt(weight)
+        off = (rows @ np.linalg.lstsq(rows * root[:, None], parallax * root, rcond=None)[0] - parallax) / width
+        weight = is_near / (1.0 + off**2) ** 2
+    is_on = is_near & (np.abs(off) < 1.0)
+    if is_on.sum() <= MIN_PLANE_SHARE * is_near.sum():
+        return False
+    others = matches.select(~is_on)
+    return len(others) < MIN_MATCHES or log_false_alarms(pose, others, verticals) > MAX_LOG_FALSE_ALARMS
 
 
 def estimate_from_subset(
@@ -333,7 +364,7 @@ def _pose_cost(pose: Pose, matches: Matches, weight: np.ndarray, scale: float) -
     return float((weight * np.where(is_in_front(pose, matches, scale), squared, 1.0)).sum())
 
 
-def _best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:
+def best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:
     """The rotation that takes most second directions to first ones, by samples of two matches."""
     sample = np.random.default_rng(1).integers(len(matches), size=(SAMPLES_PER_BATCH, 2))
     frames = [_frames(directions[sample]) for directions in (matches.first, matches.second)]
@@ -342,7 +373,7 @@ def _best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:
     squared_chords = 2.0 - 2.0 * candidates.reshape(-1, 9) @ products
     rotation = candidates[int(np.argmin(np.minimum(squared_chords / scale**2, 1.0).sum(axis=1)))]
     for _ in range(5):  # reweighted with the same kernel as `refine_pose`
-        weight = 1.0 / (1.0 + (_rotation_residual(rotation, matches) / scale) ** 2) ** 2
+        weight = 1.0 / (1.0 + (rotation_residual(rotation, matches) / scale) ** 2) ** 2
         rotation = nearest_rotation(np.einsum("n,ni,nj->ij", weight, matches.first, matches.second))
     return np.asarray(rotation)
 
@@ -352,5 +383,6 @@ def _frames(pairs: np.ndarray) -> np.ndarray:
     return np.stack([pairs[:, 0], pairs[:, 1], np.cross(pairs[:, 0], pairs[:, 1])], axis=2)
 
 
-def _rotation_residual(rotation: np.ndarray, matches: Matches) -> np.ndarray:
+def rotation_residual(rotation: Float[np.ndarray, "3 3"], matches: Matches) -> Float[np.ndarray, " n"]:
+    """Angle in radians between each first direction and the second one, turned."""
     return angle_between(matches.first, matches.second @ rotation.T)

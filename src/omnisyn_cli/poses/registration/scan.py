@@ -249,8 +249,9 @@ def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
     """The relative pose of two panoramas, and its matches: also of walls and floors where few others agree."""
     verticals = Verticals(first.zenith, second.zenith, first.vertical.is_certain and second.vertical.is_certain)
     matches = match_features(first.features, second.features)
-    estimate = estimate_relative_pose(matches, verticals=verticals)
-    is_enough = estimate is not None and estimate.inliers.sum() >= max(ENOUGH_INLIERS, ENOUGH_SHARE * len(matches))
+    estimate = estimate_relative_pose(matches, verticals=verticals) if len(matches) >= ENOUGH_INLIERS else None
+    least = max(ENOUGH_INLIERS, ENOUGH_SHARE * len(matches))
+    is_enough = estimate is not None and not estimate.is_planar and estimate.inliers.sum() >= least
     if is_enough:
         return _with_right_direction(first, second, estimate, matches, verticals), matches
     known = [] if estimate is None or estimate.have_same_position else [estimate.first_from_second]
