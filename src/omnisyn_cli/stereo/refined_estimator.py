@@ -61,7 +61,7 @@ RANGE_SLACK_ROWS = 4  # rows by which a disparity may lie beyond those of its ne
 MAX_RANGE_ROWS = 128  # rows of the longest range, around the disparity of its pixel: it bounds time and memory
 REMEASURED_CONFIDENCE = np.float32(0.8)  # least confidence of what refinement has measured; chosen by eye
 # Difference of two colours, summed over their channels, from which on they contradict each other; and the side in
-# pixels of the squares that are compared. (With 0.2 to 0.5, 16 generated pairs gain as much.)
+# pixels of the squares that are compared. (With 0.2 or 0.5, eight generated pairs gain as much.)
 CONTRADICTING_COLOURS, COMPARED_WINDOW = np.float32(0.3), 5
 
 ViewPair = tuple[View, View]
@@ -201,8 +201,8 @@ def _check_against_other(
 ) -> EstimatePair:
     """Estimates in 1/metre, less confident where the other panorama looks through the surface or disagrees around it.
 
-    The other map may only lack a thing that stands there. So it has no say where both pictures have the same colours.
-    Where the picture is masked there is no confidence.
+    The other map may only lack a thing that stands there. So looking through counts as far as the colours of both
+    pictures differ there. Where the picture is masked there is no confidence.
     """
     baseline = distance_between(views[0].pose, views[1].pose)
     pictures = [resize_area(view.image, maps[0][0].shape) for view in views]
@@ -211,8 +211,9 @@ def _check_against_other(
         (inverse_depth, confidence), other_map = maps[own], maps[other][0]
         motion = motion_in_baselines(views[own].pose, views[other].pose)
         contradiction = _colour_contradiction(pictures[own], pictures[other], inverse_depth, motion)
-        for agreement in (free_space_agreement, neighbourhood_agreement):
-            confidence = confidence * (1.0 - contradiction * (1.0 - agreement(inverse_depth, other_map, motion)))
+        is_seen_through = 1.0 - free_space_agreement(inverse_depth, other_map, motion)
+        confidence = confidence * (1.0 - contradiction * is_seen_through)
+        confidence = confidence * neighbourhood_agreement(inverse_depth, other_map, motion)
         confidence = confidence * usable_pixels(views[own], inverse_depth.shape)
         in_metres = (inverse_depth / baseline).astype(np.float32)
         return DepthEstimate(in_metres, confidence.astype(np.float32), features[own].valid)
