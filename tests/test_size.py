@@ -10,14 +10,14 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_630, "interpolation": 5_240, "evaluation": 4_050, "training": 3_280, "scenes": 3_900, "render": 3_550,
-    "cli": 3_650, "io": 3_750, "stereo": 3_610, "fusion": 2_810, "synthesis": 2_180, "batch": 1_670,
-    "networks": 1_510, "baselines": 960, "geometry": 900, "pipeline": 630, "compute": 620, "(top)": 340,
-    "runtime": 480,
+    "poses": 6_690, "interpolation": 5_340, "evaluation": 4_020, "scenes": 3_900, "io": 3_740, "stereo": 3_600,
+    "cli": 3_560, "render": 3_520, "training": 3_210, "fusion": 2_780, "synthesis": 2_180, "batch": 1_660,
+    "networks": 1_500, "baselines": 950, "geometry": 900, "pipeline": 640, "compute": 630, "(top)": 340,
+    "runtime": 580,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 49_800
+MOST_LINES = 49_740
 """The sum. When rooms shrink, lower their budgets and it."""
 
 MOST_TEST_LINES, MOST_WORDS = 35_450, 28_400
