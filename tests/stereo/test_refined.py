@@ -109,20 +109,6 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
     assert wrong.confidence[8:-8, :24].mean() < 0.5 < wrong.confidence[8:-8, 40:56].mean()
 
 
-def test_a_surface_keeps_confidence_where_both_pictures_show_its_colours(views, both):
-    """The other panorama's map looks through it, and would leave less than 0.01: that map lacks the thing."""
-
-    def second_too_far(channels):
-        inverse_depth, confidence = true(channels)
-        return inverse_depth / (
-            3.0 if np.allclose(channels[:3], np.moveaxis(both[1].image, -1, 0)) else 1.0
-        ), confidence
-
-    right, wrong = RefinedDepthEstimator(MATCHING, second_too_far, 64)(*views)
-    np.testing.assert_allclose(wrong.inverse_depth, both[1].filled / np.linalg.norm(OFFSET) / 3.0, rtol=1e-5)
-    assert right.confidence[4:-4].min() > 0.2  # bilinear interpolation is coarse next to the poles
-
-
 def test_without_a_network_the_estimate_is_that_of_one_that_repeats_the_filled_map(views):
     """But for the median that smooths a network's answers where stereo is not valid: here it is valid everywhere."""
 

@@ -5,31 +5,19 @@ map around a pixel span a range of disparities, and only these are matched. So a
 smaller one, and what repeats elsewhere cannot mislead.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 
-import cv2
 import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.geometry.pose import Pose, at_same_position, distance_between
+from omnisyn_cli.geometry.pose import at_same_position, distance_between
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.resize import resize_area
-from omnisyn_cli.geometry.sampling import (
-    filter_across_seam,
-    rotated_directions,
-    sample_bilinear,
-    window_max,
-    window_min,
-)
-from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import (
-    free_space_agreement,
-    motion_in_baselines,
-    neighbourhood_agreement,
-    reproject_to_second,
-)
+from omnisyn_cli.geometry.sampling import rotated_directions, window_max, window_min
+from omnisyn_cli.geometry.sweep import free_space_agreement, motion_in_baselines, neighbourhood_agreement
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH, SAME_SURFACE_TOLERANCE
 from omnisyn_cli.stereo.depth_sizes import doubled_sizes
 from omnisyn_cli.stereo.disparity import (
@@ -60,9 +48,6 @@ NETWORK_RANGE_SHARE = 0.95
 RANGE_SLACK_ROWS = 4  # rows by which a disparity may lie beyond those of its neighbourhood; chosen by eye
 MAX_RANGE_ROWS = 128  # rows of the longest range, around the disparity of its pixel: it bounds time and memory
 REMEASURED_CONFIDENCE = np.float32(0.8)  # least confidence of what refinement has measured; chosen by eye
-# Difference of two colours, summed over their channels, from which on they contradict each other; and the side in
-# pixels of the squares that are compared. (With 0.2 or 0.5, eight generated pairs gain as much.)
-CONTRADICTING_COLOURS, COMPARED_WINDOW = np.float32(0.3), 5
 
 ViewPair = tuple[View, View]
 EstimatePair = tuple[DepthEstimate, DepthEstimate]
@@ -96,13 +81,14 @@ class RefinedDepthEstimator:
 
         :meth:`MatchingDepthEstimator.features` rectifies the pair (1), computes the cost volume (2), matches
         semi-globally (3), checks left against right (4) and fits planes (5); where the baseline is wide it matches
-        again with a prior. Completion (6), refinement (7) and the check of both maps against each other (8) follow.
+        again with a prior. Completion (6), refinement (7), the free-space check (8) and confidence (9) follow.
         """
         features = self.matching.features(*views)
         of_first, of_second = self._complete_with_network(features)
         completed = fill_as_expected(features[0], of_first), fill_as_expected(features[1], of_second)
         refined = self._refine_at_larger_sizes(views, completed)
-        return _check_against_other(views, refined, features)
+        checked = _check_free_space(views, refined, features)
+        return _lower_confidence_amid_disagreement(views, checked)
 
     def _complete_with_network(self, features: tuple[StereoFeatures, StereoFeatures]) -> InvDepthPair:
         """The network's depth, or the filled map without one.
@@ -196,37 +182,36 @@ def _replace_remeasured(
     return inverse_depth, np.where(taken, np.maximum(coarse_confidence, REMEASURED_CONFIDENCE), coarse_confidence)
 
 
-def _check_against_other(
+def _check_free_space(
     views: ViewPair, maps: InvDepthPair, features: tuple[StereoFeatures, StereoFeatures]
 ) -> EstimatePair:
-    """Estimates in 1/metre, less confident where the other panorama looks through the surface or disagrees around it.
-
-    The other map may only lack a thing that stands there. So looking through counts as far as the colours of both
-    pictures differ there. Where the picture is masked there is no confidence.
-    """
+    """Estimates in 1/metre: no confidence where masked, nor where the other panorama looks through the surface."""
     baseline = distance_between(views[0].pose, views[1].pose)
-    pictures = [resize_area(view.image, maps[0][0].shape) for view in views]
 
     def estimate(own: int, other: int) -> DepthEstimate:
-        (inverse_depth, confidence), other_map = maps[own], maps[other][0]
+        inverse_depth, confidence = maps[own]
         motion = motion_in_baselines(views[own].pose, views[other].pose)
-        contradiction = _colour_contradiction(pictures[own], pictures[other], inverse_depth, motion)
-        is_seen_through = 1.0 - free_space_agreement(inverse_depth, other_map, motion)
-        confidence = confidence * (1.0 - contradiction * is_seen_through)
-        confidence = confidence * neighbourhood_agreement(inverse_depth, other_map, motion)
+        confidence = confidence * free_space_agreement(inverse_depth, maps[other][0], motion)
         confidence = confidence * usable_pixels(views[own], inverse_depth.shape)
         in_metres = (inverse_depth / baseline).astype(np.float32)
         return DepthEstimate(in_metres, confidence.astype(np.float32), features[own].valid)
 
+    return _for_both_views(estimate)
+
+
+def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair) -> EstimatePair:
+    """Both estimates; their confidence is lower where they disagree with each other around a pixel."""
+    baseline = np.float32(distance_between(views[0].pose, views[1].pose))
+
+    def confidence_lowered(own: int, other: int) -> DepthEstimate:
+        own_map, other_map = (estimates[index].inverse_depth * baseline for index in (own, other))
+        motion = motion_in_baselines(views[own].pose, views[other].pose)
+        agreement = neighbourhood_agreement(own_map, other_map, motion)
+        return replace(estimates[own], confidence=estimates[own].confidence * agreement)
+
+    return _for_both_views(confidence_lowered)
+
+
+def _for_both_views(estimate: Callable[[int, int], DepthEstimate]) -> EstimatePair:
+    """For the first panorama beside the second, and for the second beside the first."""
     return both(partial(estimate, 0, 1), partial(estimate, 1, 0))
-
-
-def _colour_contradiction(
-    picture: Float32[np.ndarray, "height width 3"], other: Float32[np.ndarray, "height width 3"],
-    inverse_depth: Float32[np.ndarray, "height width"], motion: Pose,
-) -> Float32[np.ndarray, "height width"]:  # fmt: skip
-    """0 where the other picture has the same colours at the place of the surface, 1 where it has clearly others."""
-    moved, _ = reproject_to_second(pixel_directions(*inverse_depth.shape), inverse_depth, motion)
-    difference = np.abs(sample_bilinear(other, moved) - picture).sum(axis=-1).astype(np.float32)
-    average = partial(cv2.blur, ksize=(COMPARED_WINDOW, COMPARED_WINDOW))
-    return np.minimum(filter_across_seam(average, difference, COMPARED_WINDOW) / CONTRADICTING_COLOURS, np.float32(1.0))
