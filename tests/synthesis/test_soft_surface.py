@@ -97,9 +97,10 @@ def test_walls_that_nobody_confirms_stay_flat_in_spite_of_what_stands_before_the
 def test_a_room_is_enclosed_and_a_street_is_not(kind: str, expected: bool) -> None:
     first, _, last = generated_views(kind, 104, 1.0, SIZE)
     depths = KnownDepth()(first, last)
-    assert is_enclosed((first, last), depths) == expected
-    guessed = replace(depths[0], confidence=depths[0].confidence * 0.3), depths[1]
-    assert not is_enclosed((first, last), guessed)  # near, but nobody knows: the sky of a pair that fails
+    assert is_enclosed((first, last), depths, cross_check((first, last), depths, Cut())) == expected
+    noise = np.random.default_rng(0).random(last.image.shape, np.float32)
+    other = replace(last, image=noise)  # near, but not confirmed: the sky of a pair that fails
+    assert not is_enclosed((first, other), depths, cross_check((first, other), depths, Cut()))
 
 
 HEIGHT = 1.6

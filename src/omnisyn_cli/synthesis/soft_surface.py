@@ -69,35 +69,35 @@ SOFT_CONFIDENCE = 0.15  # confidence of soft depth: too little to hide the other
 INVERSE_DEPTH_RANGE = (1e-3, 20.0)
 BISECTIONS = 22  # halvings of that range: each leaves half of its logarithm, 10 / 2^22 in the end
 # A place has a ceiling if this share of what lies higher above the horizon is nearer than so many baselines, as far as
-# confidence goes: the sky gets near depth of no confidence where pairs fail. Two restaurants have 0.52 and 0.69, five
-# pairs of a campus at most 0.28.
-MIN_CEILING_DEG, MAX_CEILING_BASELINES, MIN_CEILING_SHARE = 30.0, 10.0, 0.4
+# the other view confirms that: where pairs fail, the sky gets near depth as well. Two restaurants have 0.28 and 0.47, a
+# corridor 0.38, five pairs of a campus at most 0.21.
+MIN_CEILING_DEG, MAX_CEILING_BASELINES, MIN_CEILING_SHARE = 30.0, 10.0, 0.25
 
 Depths = tuple[DepthEstimate, DepthEstimate]
 
 
-def is_enclosed(views: tuple[View, View], depths: Depths) -> bool:
+def is_enclosed(views: tuple[View, View], depths: Depths, check: CrossCheck) -> bool:
     """Whether two views stand under a ceiling, so that a smooth surface around them can stand for the place."""
     baseline = distance_between(views[0].pose, views[1].pose)
     shares = []
-    for view, depth in zip(views, depths, strict=True):
+    for view, depth, known in zip(views, depths, _reliabilities(depths, check), strict=True):
         size = depth.inverse_depth.shape
         height = pixel_directions(*size) @ view.pose.rotation.T @ UP
         above = solid_angles(*size) * (height > np.sin(np.radians(MIN_CEILING_DEG)))
         is_near = depth.inverse_depth * baseline * MAX_CEILING_BASELINES > 1.0
-        shares.append(float((above * is_near * depth.confidence).sum() / above.sum()))
+        shares.append(float((above * is_near * known).sum() / above.sum()))
     return min(shares) > MIN_CEILING_SHARE
 
 
 def needs_soft_surface(views: tuple[View, View], depths: Depths, check: CrossCheck) -> bool:
     """Whether a pair scores next to nothing and stands under a ceiling, at two places."""
     is_doubtful = check.confidence.score < MAX_SOFT_SCORE and not at_same_position(views[0].pose, views[1].pose)
-    return is_doubtful and is_enclosed(views, depths)
+    return is_doubtful and is_enclosed(views, depths, check)
 
 
 def soften_pair(views: tuple[View, View], depths: Depths, check: CrossCheck) -> Depths:
     """The depth of both views, at two places, on a common smooth surface where the photographs do not confirm it."""
-    reliability = [_reliability(depth, *layers) for depth, layers in zip(depths, check.crossed, strict=True)]
+    reliability = _reliabilities(depths, check)
     surface = _common_surface(views, depths, reliability)
     first, second = (
         _softened(depth, known, _inverse_depth_of(surface, view, _middle(views)))
@@ -108,6 +108,10 @@ def soften_pair(views: tuple[View, View], depths: Depths, check: CrossCheck) -> 
 
 def _middle(views: tuple[View, View]) -> Float[np.ndarray, " 3"]:
     return np.asarray(0.5 * (views[0].pose.position + views[1].pose.position))
+
+
+def _reliabilities(depths: Depths, check: CrossCheck) -> list[Float32[np.ndarray, "height width"]]:
+    return [_reliability(depth, *layers) for depth, layers in zip(depths, check.crossed, strict=True)]
 
 
 def _reliability(depth: DepthEstimate, photo: Layer, other: Layer) -> Float32[np.ndarray, "height width"]:
