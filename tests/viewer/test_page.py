@@ -178,8 +178,9 @@ def test_a_shorter_walk_in_its_place_leaves_nothing_of_the_longer_one(tmp_path: 
 
 
 @pytest.mark.parametrize("fallback", ["fail", "crossfade", "soft", "none"])
-def test_a_doubtful_pair_is_given_up_faded_or_soft_if_that_is_asked_for(tmp_path: Path, fallback: str) -> None:
-    """Two pictures that show different places: their depth files say nothing true of the other one."""
+def test_a_doubtful_pair_is_given_up_faded_or_soft_if_that_is_asked_for(tmp_path, monkeypatch, fallback: str) -> None:
+    """Two pictures of different places: their depth files say nothing true of the other one, nor of a ceiling."""
+    monkeypatch.setattr("omnisyn_cli.synthesis.soft_surface.MIN_CEILING_SHARE", -1.0)
     images = write_hall(tmp_path, CHAIN[:2])
     write_image(images[1], np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8))
     if fallback == "fail":
