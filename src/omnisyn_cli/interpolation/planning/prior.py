@@ -17,18 +17,17 @@ P = TypeVar("P", bound=TourPlan)
 def with_prior_cost(plan: P, *, is_measured: bool) -> P:
     """The plan with what its depth prior takes, if that is a network of the user's.
 
-    One that was never run here is asked about one picture if ``is_measured``. Panoramas are read to see which answers
-    are kept. InputError: it is no such network.
+    If ``is_measured``, one that was never run here is asked about one picture, and panoramas are read to see which
+    answers are kept. Else only its size is looked at: a run reads panoramas once. InputError: it is no such network.
     """
     depth, path = plan.config.depth, Path(str(plan.config.depth.prior))
     if not depth.has_own_prior:
         return plan
+    if not is_measured:
+        return replace(plan, prior_cost=PriorCost(path.stat().st_size if path.is_file() else 0, None))
     session = open_session(path, device=plan.config.device, threads=plan.job.threads, keeps_memory=False)
     network = MonocularSession(session, path, NetworkKind.from_words(depth.prior_kind))
-    cost = network.try_out() if is_measured else network.cost
-    if cost is None:
-        unknown = PriorCost(path.stat().st_size, None, "depth prior: unknown seconds, measured in its first run")
-        return replace(plan, prior_cost=unknown)
+    cost = network.try_out()
     # OpenCV takes a while to import and is needed for pictures only.
     from omnisyn_cli.interpolation.loading import Loader
     from omnisyn_cli.stereo.monocular_answer import pictures_of
