@@ -3,7 +3,7 @@
 Clips of 1024×512 to 8192×4096 from two panoramas (by default those of ``examples/street``), each made twice, with a few
 and with some more frames: the difference is what a frame takes, start and depth left out. Computing time of program and
 encoder together, so that other work on the machine counts little; peak memory of the program, and what ``--dry-run``
-says about it. Then the time that a frame takes on one and on two threads, both views rendered and fused as the program
+says about it. Then the time that frames take on one and on two threads, both views rendered and fused as the program
 does it, and that of arithmetic without memory, in turn, on the clock: no program scales better than the second.
 """
 
@@ -22,10 +22,12 @@ from bench_clip import STREET, interpolate
 
 from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.compute.threads import run_ranges
-from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import plan_path
+from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 
 WIDTHS = (1024, 2048, 4096, 8192)
 FEW = 4  # Frames; two of them are the photographs.
@@ -63,19 +65,16 @@ def scale_of(inputs: list[Path], width: int) -> Scale:
 
 
 def frames(threads: int, width: int = 4096) -> Callable[[], object]:
-    """Makes the frame in the middle of a room with a bump."""
+    """Makes four frames between two panoramas of a room with a bump, as a video does: a thread for each."""
     directions, size = pixel_directions(256, 512), (width // 2, width)
     inverse_depth = np.asarray(0.3 + 0.2 * (directions[..., 1] < 0) + 0.3 * (directions[..., 0] > 0.8), np.float32)
-    image = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
-    views = [MeshRenderer(RendererInputs(image, None, inverse_depth, None, size, None, threads)) for _ in range(2)]
+    samples = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+    depth, image = DepthEstimate(inverse_depth, np.ones_like(inverse_depth)), samples.astype(np.float32) / 255.0
     poses = [Pose(np.eye(3), np.array([side * 0.1, 0.0, side * 0.4])) for side in (1.0, -1.0)]
-    fuser, out = GeometricFuser(size, threads=threads), np.empty((*size, 3), np.uint8)
-
-    def make() -> None:
-        first, second = (view(pose) for view, pose in zip(views, poses, strict=True))
-        fuser(first, second, 0.5, out)
-
-    return make
+    views = [View(image, pose, known_depth=depth, image_uint8=samples) for pose in poses]
+    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(size, threads=threads)).prepare(0, views)
+    path = plan_path(poses, 6)[1:-1]
+    return lambda: list(pair.frames(path, lambda: np.empty((*size, 3), np.uint8)))
 
 
 @kernel()  # type: ignore[untyped-decorator]
@@ -145,7 +144,7 @@ def main() -> None:
     if options.plot is not None:
         plot(scales, options.plot)
     frame, arithmetic = speed_up()
-    print(f"a frame of 4096x2048 on two threads: {frame:.2f} times as fast as on one; arithmetic: {arithmetic:.2f}")
+    print(f"frames of 4096x2048 on two threads: {frame:.2f} times as fast as on one; arithmetic: {arithmetic:.2f}")
 
 
 if __name__ == "__main__":

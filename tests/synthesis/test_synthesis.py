@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.interpolation.api import estimate_depth, make_frames
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
@@ -206,6 +207,40 @@ def test_the_clock_counts_every_stage() -> None:
     list(synthesize(views, plan_path(poses, 3), method))
     assert set(clock.seconds) == {"depth", "check", "mesh", "render", "fuse"}
     assert all(seconds >= 0 for seconds in clock.seconds.values())
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_frames_made_at_once_are_the_very_same_in_their_order(rounded: bool) -> None:
+    """Also where a slow walk shows frames again, and where an end is masked, so that it is no photograph."""
+    poses, hole = [*BASELINES["tilted"], posed((2.0, 0.5, -0.2), 2.0)], np.zeros(SIZE, bool)
+    hole[40:50, 10:30] = True
+    views = [garbled(hall_view(poses[0]), hole), *(hall_view(pose) for pose in poses[1:])]
+    path = plan_path(poses, 40, ease="smooth")
+    slow = [replace(path[20], t=path[20].t + step * 1e-4) for step in range(3)]
+    path, made = [*path[:20], *slow, *path[21:]], []
+    for threads in (1, 2, 3):
+        options = SynthesisOptions(SIZE, threads=threads, confidence=True)
+        out = (lambda: np.empty((*SIZE, 3), np.uint8)) if rounded else None
+        frames = synthesize(views, path, SurfaceMethod(KnownDepth(), options), out)
+        made.append([(m.image.copy(), m.confidence, m.waypoint, m.is_shown_again) for m in frames])
+    assert [waypoint for _, _, waypoint, _ in made[0]] == path
+    assert sum(again for *_, again in made[0]) >= 2
+    for one, *others in zip(*made, strict=True):
+        for other in others:
+            assert one[2:] == other[2:]
+            np.testing.assert_array_equal(one[0], other[0])
+            np.testing.assert_array_equal(one[1], other[1])
+
+
+def test_an_error_in_one_of_the_frames_made_at_once_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise MemoryError("none left")
+
+    monkeypatch.setattr(GeometricFuser, "blend", fail)
+    poses = BASELINES["forward"]
+    method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=3))
+    with pytest.raises(MemoryError, match="none left"):
+        list(synthesize([hall_view(pose) for pose in poses], plan_path(poses, 9), method))
 
 
 def test_another_fuser_may_be_plugged_in() -> None:

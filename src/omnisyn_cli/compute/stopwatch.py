@@ -1,9 +1,11 @@
 """Seconds by stage."""
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 
 _listeners: list[Callable[[str], None]] = []
 
@@ -24,7 +26,13 @@ class Stopwatch:
     def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
         self.now = now
         self.seconds: dict[str, float] = defaultdict(float)
-        self._begin = now()
+        self._begin, self._lock, self._workers = now(), threading.Lock(), 1
+
+    def of_one_of(self, workers: int) -> "Stopwatch":
+        """One for a thread of several that work at once: what it times counts as that share of the time."""
+        shared = copy(self)
+        shared._workers = workers
+        return shared
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -35,7 +43,8 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.seconds[stage] += self.now() - begin
+            with self._lock:
+                self.seconds[stage] += (self.now() - begin) / self._workers
 
     def with_total(self) -> dict[str, float]:
         """Seconds by stage, and as ``total`` all since it was made."""

@@ -15,8 +15,11 @@ from typing import TypeVar
 T = TypeVar("T")
 
 _limit: ContextVar[int | None] = ContextVar("most threads", default=None)
+_lane: ContextVar[int] = ContextVar("whose threads", default=0)
 
 RANGES_PER_THREAD = 4  # more ranges than threads, because some rows are more work than others
+# Memory for frames that are made at once, and what each takes: 6 of 4096×2048, 1 of 8192×4096. Set by hand.
+MAX_BYTES_AT_ONCE, BYTES_PER_PIXEL_AT_ONCE = 2 * 2**30, 38
 
 
 def available_threads() -> int:
@@ -27,6 +30,12 @@ def available_threads() -> int:
 def allowed_threads() -> int:
     """How many :func:`run_ranges` uses if its caller does not say: a core each, or what :func:`at_most` allows."""
     return min(available_threads(), _limit.get() or available_threads())
+
+
+def frames_at_once(size: tuple[int, int], threads: int | None) -> int:
+    """How many frames of a size are made at once: a thread each, while all together take little memory."""
+    affordable = MAX_BYTES_AT_ONCE // (BYTES_PER_PIXEL_AT_ONCE * size[0] * size[1])
+    return max(1, min(threads or allowed_threads(), affordable))
 
 
 @contextmanager
@@ -80,13 +89,22 @@ def run_ranges(kernel: Callable[[int, int], None], rows: int, threads: int | Non
         kernel(0, rows)
         return
     ranges = split_range(rows, threads * RANGES_PER_THREAD)
-    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in ranges]
+    pending = [_pool(threads, _lane.get()).submit(kernel, begin, end) for begin, end in ranges]
     for future in pending:
         future.result()
 
 
-@lru_cache(maxsize=4)
-def _pool(threads: int) -> ThreadPoolExecutor:
+def in_lane(lane: int, work: Callable[[], T]) -> T:
+    """What ``work`` returns; its loops have threads of their own and do not wait for those of other lanes."""
+    former = _lane.set(lane)
+    try:
+        return work()
+    finally:
+        _lane.reset(former)
+
+
+@lru_cache(maxsize=16)
+def _pool(threads: int, lane: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="omnisyn")
 
 

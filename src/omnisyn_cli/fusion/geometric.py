@@ -33,6 +33,10 @@ class GeometricFuser:
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
         self._picture: np.ndarray | None = None
 
+    def twin(self, threads: int) -> "GeometricFuser":
+        """One that makes the same frames in buffers of its own: for another thread."""
+        return GeometricFuser(self.size, threads, edges=self._supersampler is not None)
+
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:

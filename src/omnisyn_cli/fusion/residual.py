@@ -54,10 +54,14 @@ class ResidualFuser(GeometricFuser):
         edges: bool = True,
     ) -> None:  # fmt: skip
         super().__init__(size, threads, edges=edges)
-        self._network = network
+        self._network, self._rows = network, rows
         small = network_size(size, rows)
         tiles = LayerPairShader(self._ghosts.downsampled_size, threads)
         self._inputs = None if small is None else InputBuilder(small, tiles)
+
+    def twin(self, threads: int) -> "ResidualFuser":
+        """See :meth:`GeometricFuser.twin`; both ask the same network."""
+        return ResidualFuser(self.size, self._network, self._rows, threads, edges=self._supersampler is not None)
 
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None

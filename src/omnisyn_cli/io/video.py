@@ -186,11 +186,11 @@ def frames_in_queue(size: tuple[int, int]) -> int:
 class FrameRing:
     """Memory for frames on their way to sinks, used again when they have arrived.
 
-    There is room for a frame of ``size`` (height, width) that is written, one that is made, and ``waiting`` between.
+    There is room for a frame of ``size`` (height, width) that is written, some that are made, and ``waiting`` between.
     """
 
-    def __init__(self, size: tuple[int, int], waiting: int) -> None:
-        self._frames = deque(np.empty((*size, 3), np.uint8) for _ in range(waiting + 2))
+    def __init__(self, size: tuple[int, int], waiting: int, made: int = 1) -> None:
+        self._frames = deque(np.empty((*size, 3), np.uint8) for _ in range(waiting + 1 + made))
 
     def __call__(self) -> UInt8[np.ndarray, "height width 3"]:
         """Memory for the next frame; it is given to all sinks before the one after it is asked for."""

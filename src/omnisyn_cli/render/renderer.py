@@ -1,5 +1,6 @@
 """One panorama with its depth, ready to be seen from elsewhere."""
 
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Protocol
@@ -80,6 +81,13 @@ class MeshRenderer:
         self.triangles = drawn, every  # drawn for a frame, and of the mesh
         self._rasterizer = _rasterizer(size, threads)
         self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
+
+    def twin(self, threads: int) -> "MeshRenderer":
+        """The same surface with the same texture, and buffers of its own: for another thread."""
+        twin, size = copy(self), self._shader.size
+        twin._shader, twin._rasterizer = Shader(size, threads), _rasterizer(size, threads)
+        twin._reprojector = Reprojector(lambda: self._texture, self._reprojector.inverse_depth, twin._shader)
+        return twin
 
     def __call__(self, target_from_source: Pose) -> Layer:
         """See :class:`Renderer`; colours are shaded on demand."""

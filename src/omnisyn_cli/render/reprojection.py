@@ -32,7 +32,7 @@ class Reprojector:
         self, texture: Callable[[], Texture], inverse_depth: Float[np.ndarray, "rows cols"], shader: Shader
     ) -> None:
         self._make_texture, self._shader = texture, shader
-        self._inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
+        self.inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
         self._small_shader: Shader | None = None
 
     def sampler(self, target_from_source: Pose) -> SourceSampler:
@@ -49,7 +49,7 @@ class Reprojector:
             out = np.empty(inverse_depth.shape, np.float32)
             tables, view = DirectionTables.of_size(*inverse_depth.shape), source_view(target_from_source, 1.0)
             least = np.float32(min_inverse_depth)
-            measure = partial(_measure_occlusion, inverse_depth, tables, view, self._inverse_depth, least, out)
+            measure = partial(_measure_occlusion, inverse_depth, tables, view, self.inverse_depth, least, out)
             run_ranges(measure, len(out), self._shader.threads)
             return out
 

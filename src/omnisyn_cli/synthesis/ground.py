@@ -12,10 +12,17 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from omnisyn_cli.compute.threads import both
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale, solid_angles
+from omnisyn_cli.geometry.sphere import (
+    direction_to_pixel,
+    pixel_directions,
+    pixel_scale,
+    pixel_to_direction,
+    solid_angles,
+)
 from omnisyn_cli.synthesis.nadir_map import MAP_SIZE, look_up, to_map
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -52,8 +59,10 @@ MAX_FLAT_ROWS = 900  # rows of the ground seen from above in which patches are l
 
 def continue_ground(views: ViewPair, depths: DepthPair) -> tuple[ViewPair, DepthPair]:
     """Views and depths in which masked regions around the nadir are ground; the very same where there are none."""
-    first = _continued(views[0], views[1], depths[0], depths[1])
-    second = _continued(views[1], views[0], depths[1], depths[0])
+    first, second = both(
+        lambda: _continued(views[0], views[1], depths[0], depths[1]),
+        lambda: _continued(views[1], views[0], depths[1], depths[0]),
+    )
     return (first[0], second[0]), (first[1], second[1])
 
 
@@ -67,20 +76,18 @@ def _continued(view: View, other: View, depth: DepthEstimate, other_depth: Depth
         return view, depth
     image = np.array(view.image, np.float32)
     rows, cols = np.nonzero(gap)
-    directions = pixel_directions(*gap.shape)
-    seen, colour = _seen_by_other(directions[rows, cols], view, other, other_depth, height)
+    directions = pixel_to_direction(rows, cols, gap.shape)
+    seen, colour = _seen_by_other(directions, view, other, other_depth, height)
     recoloured = None
     if seen.any():
-        recoloured = _recolour(colour[seen], directions[rows, cols][seen], image, gap, view, other, other_depth, height)
+        recoloured = _recolour(colour, directions[seen], image, gap, view, other, other_depth, height)
     if recoloured is None:
         seen[:] = False
     else:
         image[rows[seen], cols[seen]] = recoloured
     missing = np.zeros_like(gap)
     missing[rows[~seen], cols[~seen]] = True
-    is_whole = not missing.any() or any(
-        _fill_with_patch(image, missing, view, depth, height, least) for least in SOURCE_CONFIDENCES
-    )
+    is_whole = not missing.any() or _fill_with_patch(image, missing, view, depth, height)
     filled = gap if is_whole else gap & ~missing
     mask = view.mask | filled
     rho = _plane(pixel_directions(*depth.inverse_depth.shape), view, height)
@@ -90,7 +97,10 @@ def _continued(view: View, other: View, depth: DepthEstimate, other_depth: Depth
         np.where(here, np.float32(GROUND_CONFIDENCE), depth.confidence).astype(np.float32),
         depth.stereo_valid,
     )
-    return replace(view, image=image, image_uint8=None, mask=None if mask.all() else mask), known
+    samples = None if view.image_uint8 is None else view.image_uint8.copy()
+    if samples is not None:
+        samples[filled] = np.rint(255.0 * image[filled])
+    return replace(view, image=image, image_uint8=samples, mask=None if mask.all() else mask), known
 
 
 def _nadir_hole(view: View) -> Bool[np.ndarray, "height width"] | None:
@@ -138,18 +148,22 @@ def _height(view: View, depth: DepthEstimate, gap: Bool[np.ndarray, "height widt
 
 def _seen_by_other(
     directions: Float[np.ndarray, "pixels 3"], view: View, other: View, other_depth: DepthEstimate, height: float
-) -> tuple[Bool[np.ndarray, " pixels"], Float[np.ndarray, "pixels 3"]]:
-    """Where the other view sees the ground that lies in directions of a view, and its colours."""
+) -> tuple[Bool[np.ndarray, " pixels"], Float[np.ndarray, "seen 3"]]:
+    """Where the other view sees the ground that lies in directions of a view, and the colours of what it sees."""
     distance = 1.0 / np.maximum(_plane(directions, view, height), 1e-6)
     world = (directions @ view.pose.rotation.T) * distance[:, None] + view.pose.position - other.pose.position
     rho = 1.0 / np.maximum(np.linalg.norm(world, axis=-1), 1e-9)
     to_ground = (world * rho[:, None]) @ other.pose.rotation
-    known = sample_nearest(other_depth.inverse_depth, to_ground)
+    known, confidence = np.moveaxis(sample_nearest(_with_confidence(other_depth), to_ground), -1, 0)
     seen = np.abs(known - rho) < SAME_GROUND_TOLERANCE * np.maximum(known, rho)
-    seen &= sample_nearest(other_depth.confidence, to_ground) > MIN_GROUND_CONFIDENCE
+    seen &= confidence > MIN_GROUND_CONFIDENCE
     if other.mask is not None:
         seen &= sample_nearest(other.mask.astype(np.float32), to_ground) > 0.5
-    return np.asarray(seen), np.asarray(sample_bilinear(np.asarray(other.image, np.float32), to_ground))
+    return np.asarray(seen), np.asarray(sample_bilinear(np.asarray(other.image, np.float32), to_ground[seen]))
+
+
+def _with_confidence(depth: DepthEstimate) -> Float32[np.ndarray, "height width 2"]:
+    return np.stack([depth.inverse_depth, depth.confidence], axis=-1, dtype=np.float32)
 
 
 def _recolour(
@@ -163,11 +177,11 @@ def _recolour(
     """
     ring = (cv2.dilate(gap.astype(np.uint8), np.ones((2 * EDGE_PIXELS + 1,) * 2, np.uint8)) > 0) & ~gap
     rows, cols = np.nonzero(ring & np.asarray(view.mask))
-    directions = pixel_directions(*gap.shape)[rows, cols]
+    directions = pixel_to_direction(rows, cols, gap.shape)
     seen, around = _seen_by_other(directions, view, other, other_depth, height)
     if np.count_nonzero(seen) < MIN_RING_PIXELS:
         return None
-    own, around = image[rows[seen], cols[seen]], around[seen]
+    own = image[rows[seen], cols[seen]]
     ratio = np.median(own, axis=0) / np.maximum(np.median(around, axis=0), 1e-3)
     gain = np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN)
     difference = own - gain * around
@@ -193,7 +207,7 @@ def _continued_step(
 
 def _fill_with_patch(
     image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View,
-    depth: DepthEstimate, height: float, min_confidence: float,
+    depth: DepthEstimate, height: float,
 ) -> bool:  # fmt: skip
     """Fill a gap of the image, in place, with a patch of the ground around whose depth is confident; whether one fits.
 
@@ -204,37 +218,52 @@ def _fill_with_patch(
     axis = (np.arange(count) + 0.5) * (2.0 * reach / count) - reach
     x, y = np.meshgrid(axis, axis)
     world = np.stack([x, np.full_like(x, -1.0), y], axis=-1)
-    directions = (world / np.linalg.norm(world, axis=-1, keepdims=True)) @ view.pose.rotation
-    flat = np.asarray(sample_bilinear(image, directions), np.float32)
-    hole = np.asarray(sample_nearest(gap.astype(np.float32), directions) > 0.5)
-    known, plane = sample_nearest(depth.inverse_depth, directions), _plane(directions, view, height)
-    valid = (np.abs(known - plane) < SAME_GROUND_TOLERANCE * np.maximum(known, plane)) & ~hole
-    valid &= sample_nearest(np.asarray(view.mask, np.float32), directions) > 0.5
-    valid &= sample_nearest(depth.confidence, directions) > min_confidence
+    directions = ((world / np.linalg.norm(world, axis=-1, keepdims=True)) @ view.pose.rotation).astype(np.float32)
+    row, col = (np.asarray(at, np.float32) for at in direction_to_pixel(directions, gap.shape))
+    flat = cv2.remap(image, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    marks = np.stack([gap, np.asarray(view.mask)], axis=-1, dtype=np.float32)
+    hole, usable = np.moveaxis(sample_nearest(marks, directions) > 0.5, -1, 0)
+    known, confidence = np.moveaxis(sample_nearest(_with_confidence(depth), directions), -1, 0)
+    plane = _plane(directions, view, height)
+    ground = (np.abs(known - plane) < SAME_GROUND_TOLERANCE * np.maximum(known, plane)) & ~hole & usable
     rows, cols = (np.flatnonzero(hole.any(axis=k)) for k in (1, 0))
     if not len(rows):
         return False
     top, left = max(rows[0] - RING_PIXELS, 0), max(cols[0] - RING_PIXELS, 0)
     box = slice(top, rows[-1] + RING_PIXELS + 1), slice(left, cols[-1] + RING_PIXELS + 1)
-    ring = (cv2.dilate(hole.astype(np.uint8), np.ones((2 * RING_PIXELS + 1,) * 2, np.uint8)) > 0) & valid
-    if max(ring[box].shape) > count // 2 or np.count_nonzero(ring[box]) < MIN_RING_PIXELS:
+    around = cv2.dilate(hole.astype(np.uint8), np.ones((2 * RING_PIXELS + 1,) * 2, np.uint8)) > 0
+    for least in SOURCE_CONFIDENCES:
+        valid = ground & (confidence > least)
+        if (patch := _best_patch(flat, box, hole, valid, valid & around)) is not None:
+            break
+    else:
         return False
+    near = cv2.dilate(hole[box].astype(np.uint8), np.ones((2 * EDGE_PIXELS + 1,) * 2, np.uint8)) > 0
+    edge, inside, rays = near & (valid & around)[box], hole[box], directions[box]
+    step = _continued_step((flat[box] - patch)[edge], rays[edge], rays[inside])
+    flat[box][inside] = np.clip(patch[inside] + step, 0.0, 1.0)
+    first = int(np.flatnonzero(gap.any(axis=1))[0])
+    below = np.arange(first, len(gap))[:, None]
+    seen = pixel_to_direction(below, np.arange(gap.shape[1]), gap.shape) @ view.pose.rotation.T
+    scale = count / (2.0 * reach) / np.maximum(-seen[..., 1], 1e-3)
+    col, row = ((seen[..., k] * scale + 0.5 * count - 0.5).astype(np.float32) for k in (0, 2))
+    continued = cv2.remap(flat, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    image[first:][gap[first:]] = continued[gap[first:]]
+    return True
+
+
+def _best_patch(
+    flat: Float32[np.ndarray, "rows cols 3"], box: tuple[slice, slice], hole: Bool[np.ndarray, "rows cols"],
+    valid: Bool[np.ndarray, "rows cols"], ring: Bool[np.ndarray, "rows cols"],
+) -> Float32[np.ndarray, "height width 3"] | None:  # fmt: skip
+    """What fits the ring around a hole best, of the box's size; all that fills the hole is valid. None: nothing is."""
+    if max(ring[box].shape) > len(flat) // 2 or np.count_nonzero(ring[box]) < MIN_RING_PIXELS:
+        return None
     weight = np.repeat(ring[box].astype(np.float32)[..., None], 3, axis=2)
     misfit = cv2.matchTemplate(flat, flat[box], cv2.TM_SQDIFF, mask=weight)
     lacking = cv2.matchTemplate((~valid).astype(np.float32), hole[box].astype(np.float32), cv2.TM_CCORR)
     misfit[lacking > 0.5] = np.inf
     row, col = np.unravel_index(int(np.argmin(misfit)), misfit.shape)
     if not np.isfinite(misfit[row, col]):
-        return False
-    patch = flat[row : row + ring[box].shape[0], col : col + ring[box].shape[1]].copy()
-    near = cv2.dilate(hole[box].astype(np.uint8), np.ones((2 * EDGE_PIXELS + 1,) * 2, np.uint8)) > 0
-    edge, inside, rays = near & ring[box], hole[box], directions[box]
-    step = _continued_step((flat[box] - patch)[edge], rays[edge], rays[inside])
-    flat[box][inside] = np.clip(patch[inside] + step, 0.0, 1.0)
-    first = int(np.flatnonzero(gap.any(axis=1))[0])
-    seen = pixel_directions(*gap.shape)[first:] @ view.pose.rotation.T
-    scale = count / (2.0 * reach) / np.maximum(-seen[..., 1], 1e-3)
-    col, row = ((seen[..., k] * scale + 0.5 * count - 0.5).astype(np.float32) for k in (0, 2))
-    continued = cv2.remap(flat, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    image[first:][gap[first:]] = continued[gap[first:]]
-    return True
+        return None
+    return flat[row : row + ring[box].shape[0], col : col + ring[box].shape[1]].copy()

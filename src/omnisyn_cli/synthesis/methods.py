@@ -4,16 +4,25 @@ The paper's method, the one of this program, is :class:`SurfaceMethod`; others t
 :mod:`omnisyn_cli.baselines.synsin` and :mod:`omnisyn_cli.baselines.cross_fade`.
 """
 
-from collections.abc import Sequence
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
+from dataclasses import replace
+from functools import cached_property, partial
+from itertools import cycle
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.compute.threads import allowed_threads, frames_at_once, in_lane
 from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.render.renderer import MeshRenderer
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
-from omnisyn_cli.synthesis.frame import Frame, FrameAllocator, FusedFrame, fuse_frame
+from omnisyn_cli.synthesis.frame import MAX_REUSE_T_STEP, Frame, FrameAllocator, FusedFrame, fuse_frame
 from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions, prepare_pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
@@ -99,6 +108,49 @@ class SurfacePair:
         self._last = fuse_frame(self.prepared, waypoint, self._fuser, self._options, self._clock, out)
         return self._last.frame
 
+    def frames(self, waypoints: Iterable[Waypoint], out: FrameAllocator | None = None) -> Iterator[Frame]:
+        """:meth:`frame` of several waypoints in their order; where there are cores for it, some are made at once."""
+        makers = self._makers
+        if not makers:
+            yield from (self.frame(waypoint, out) for waypoint in waypoints)
+            return
+        made: deque[Future[FusedFrame]] = deque()
+        clock, t = self._clock.of_one_of(len(makers)), math.inf if self._last is None else self._last.frame.waypoint.t
+        with ThreadPoolExecutor(len(makers), "omnisyn-frame") as pool:
+            for waypoint, (lane, (prepared, fuser)) in zip(waypoints, cycle(enumerate(makers, start=1))):
+                if abs(waypoint.t - t) <= MAX_REUSE_T_STEP:  # perhaps the one before, which has to be there then
+                    while made:
+                        yield self._taken(made)
+                    yield self.frame(waypoint, out)
+                else:
+                    if len(made) == len(makers):
+                        yield self._taken(made)  # whose maker is the next in turn
+                    buffer = None if out is None else partial(lambda samples: samples, out())
+                    make = partial(fuse_frame, prepared, waypoint, fuser, self._options, clock, buffer)
+                    made.append(pool.submit(copy_context().run, in_lane, lane, make))
+                t = waypoint.t
+            while made:
+                yield self._taken(made)
+
+    def _taken(self, made: deque[Future[FusedFrame]]) -> Frame:
+        """The first of those that are being made, when it is there."""
+        self._last = made.popleft().result()
+        return self._last.frame
+
+    @cached_property
+    def _makers(self) -> list[tuple[PreparedPair, GeometricFuser]]:
+        """Surfaces and a fuser for each frame that is made at once; none where frames are made one after the other."""
+        fuser, options = self._fuser, self._options
+        twins = [renderer.twin for renderer in self.prepared.renderers if isinstance(renderer, MeshRenderer)]
+        count = frames_at_once(options.size, options.threads)
+        if not isinstance(fuser, GeometricFuser) or len(twins) < 2 or count < 2:
+            return []
+        threads = (options.threads or allowed_threads()) // count
+        return [
+            (replace(self.prepared, renderers=(twins[0](threads), twins[1](threads))), fuser.twin(threads))
+            for _ in range(count)
+        ]
+
     def inverse_depth(self, waypoint: Waypoint, views: Sequence[int] = (0, 1)) -> Float32[np.ndarray, "height width"]:
         """See :class:`Pair`: the nearer surface, of one view (0 or 1) if only that is shown."""
         seen = [self._rendering(waypoint, k).inverse_depth.copy() for k in views]
@@ -110,3 +162,10 @@ class SurfacePair:
 
     def _rendering(self, waypoint: Waypoint, view: int) -> Layer:
         return self.prepared.renderers[view](waypoint.pose.inverse() @ self.prepared.poses[view])
+
+
+def frames_of(pair: Pair, waypoints: Iterable[Waypoint], out: FrameAllocator | None = None) -> Iterator[Frame]:
+    """What is seen at waypoints between the two views of a pair, in their order; surfaces show some at once."""
+    if isinstance(pair, SurfacePair):
+        return pair.frames(waypoints, out)
+    return (pair.frame(waypoint, out) for waypoint in waypoints)

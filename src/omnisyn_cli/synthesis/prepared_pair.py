@@ -148,7 +148,9 @@ def usable_image(
         return view.image_uint8 if view.image_uint8 is not None and options.renderer.shades_on_demand else view.image
     image = np.array(view.image, np.float32)
     HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
-    return image
+    if view.image_uint8 is None or not options.renderer.shades_on_demand:
+        return image
+    return np.where(view.mask[..., None], view.image_uint8, np.rint(255.0 * image).astype(np.uint8))
 
 
 def _depths_in_place(first: View, second: View, options: SynthesisOptions) -> tuple[DepthEstimate, DepthEstimate]:

@@ -5,6 +5,7 @@ both are seen from every waypoint and a ``Fuser`` makes one picture of the two (
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 from jaxtyping import Float32
@@ -16,7 +17,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.synthesis.frame import Frame, FrameAllocator
-from omnisyn_cli.synthesis.methods import Method, Pair
+from omnisyn_cli.synthesis.methods import Method, Pair, frames_of
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
@@ -36,17 +37,23 @@ def synthesize(
     """
     pair: Pair | None = None
     current = -1
-    for waypoint in path:
-        photograph = _photograph_at(views, waypoint, method, out) if photographs else None
-        if photograph is not None:
-            yield photograph
-            continue
-        if pair is None or waypoint.segment != current:
-            current, pair = waypoint.segment, None  # memory is free before the next takes its own
+
+    def pair_of(segment: int) -> Pair:
+        nonlocal pair, current
+        if pair is None or segment != current:
+            current, pair = segment, None  # memory is free before the next takes its own
             pair = method.prepare(current, views)
             if on_pair is not None:
                 on_pair(current, pair)
-        yield pair.frame(waypoint, out)
+        return pair
+
+    for (segment, is_end), waypoints in groupby(path, lambda waypoint: (waypoint.segment, waypoint.t in (0.0, 1.0))):
+        if not (is_end and photographs):
+            yield from frames_of(pair_of(segment), waypoints, out)
+            continue
+        for waypoint in waypoints:
+            # not in a variable, which would keep the last photograph in memory
+            yield _photograph_at(views, waypoint, method, out) or pair_of(segment).frame(waypoint, out)
 
 
 def _photograph_at(

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from omnisyn_cli.compute.threads import frames_at_once
 from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
@@ -17,6 +18,7 @@ from omnisyn_cli.pipeline.config import RunConfig
 FRAME_COPY_BYTES, ROUNDED_COPY_BYTES = 18, 10
 # Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes.
 CONFIDENCE_BYTES = 12
+WORKER_BYTES = 8  # of each pixel of a frame: what one more thread that makes frames needs besides
 # Pixels of a texture with its mip levels, in those of the picture; bytes of each pixel of a panorama as numbers.
 MIP_LEVEL_SHARE, FLOAT_PIXEL_BYTES = 4 / 3, 12
 
@@ -122,10 +124,9 @@ class MemoryEstimate:
 def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, int]) -> float:
     """What making frames takes: two surfaces as seen, marks of pixels, the pyramid of holes, frames under way."""
     pixels = size[0] * size[1]
-    waiting = frames_in_queue(size) + 2
     largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
     if not config.draws_surfaces:
-        return pixels * (16 + 12 + 3 * largest_sample * waiting + 1.5)
+        return pixels * (16 + 12 + 3 * largest_sample * (frames_in_queue(size) + 2) + 1.5)
     pyramid, planes = 16 / 3, 1.5
     renderer, fusion = config.renderer_strategy, config.fusion_strategy
     is_held = not renderer.shades_on_demand or (fusion.by_rules and ghost_sample_step(size) == 1)
@@ -133,5 +134,7 @@ def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, 
     marked = 1 if config.edges and renderer.shades_on_demand and fusion.by_rules else 0
     frame = ROUNDED_COPY_BYTES if is_rounded(job) else 12 + FRAME_COPY_BYTES
     held, judged = 16 if is_held else 0, CONFIDENCE_BYTES if is_judged else 0
-    whole = 2 * (renderer.pixel_bytes + held) + 1 + marked + frame + judged
-    return fusion.network_bytes(pixels) + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)
+    whole = 2 * (renderer.pixel_bytes + held) + 1 + marked + frame + judged + pyramid
+    made = frames_at_once(size, job.threads) if renderer.shades_on_demand and fusion.by_rules else 1
+    waiting = 3 * largest_sample * (frames_in_queue(size) + 1 + made)
+    return fusion.network_bytes(pixels) + pixels * (made * whole + (made - 1) * WORKER_BYTES + waiting + planes)
