@@ -11,7 +11,7 @@ import click
 
 from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.options import quiet_option, threads_option
-from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
+from omnisyn_cli.cli.parameters import FILE, FOLDER, FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 from omnisyn_cli.cli.terminal import say
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 KINDS = ("street", "room", "home")
 # Of every command that makes scenes.
 TEXTURES = click.option(
-    "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
+    "--textures", type=FOLDER, metavar="FOLDER",
     help="Photographs to use as materials of walls, floors, fronts, pictures and objects.",
 )  # fmt: skip
 
@@ -127,8 +127,9 @@ def _check_suite_options(context: click.Context) -> None:
 
 def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
-    from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, files_of_scene, write_suite_scene
+    from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, SUPERSAMPLE, files_of_scene, write_scene
     from omnisyn_cli.io.outputs import make_folder, staged_folder
+    from omnisyn_cli.scenes import generate_scene
     from omnisyn_cli.scenes.paths import suite_scenes
 
     walks = list(suite_scenes())
@@ -138,7 +139,8 @@ def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwr
     for walk in walks:
         if walk.path:
             with staged_folder(out / walk.name, overwrite=overwrite) as staged:
-                write_suite_scene(staged, walk, size, threads)
+                scene = generate_scene(walk.kind, walk.seed)
+                write_scene(staged, scene, walk.path, PANORAMA_NAMES, size, SUPERSAMPLE, threads)
         if not quiet:
             missing = f"not made, the scene has no room for {walk.baseline:g} m"
             say(f"{out / walk.name}: {f'{len(walk.path)} panoramas' if walk.path else missing}", err=True)
@@ -171,16 +173,16 @@ def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 
 
 @scenes.command()
-@click.argument("meshes", nargs=-1, required=True, type=FilePath(dir_okay=False))
-@click.option("-o", "--output", required=True, type=FilePath(file_okay=False), help="Folder to write.")
+@click.argument("meshes", nargs=-1, required=True, type=FILE)
+@click.option("-o", "--output", required=True, type=FOLDER, help="Folder to write.")
 @click.option("--count", type=WholeRange(1), default=1, help="Walks through each mesh.")
 @click.option("--frames", type=WholeRange(1), default=3, help="Panoramas on a straight line.")
-@click.option("--poses", type=FilePath(dir_okay=False), help="Pose file of the cameras, in the mesh's frame, y up.")
+@click.option("--poses", type=FILE, help="Pose file of the cameras, in the mesh's frame, y up.")
 @click.option("--size", type=Size(), default="1024x512", help="Size of the panoramas.")
 @click.option("--scale", type=FiniteRange(0, min_open=True), default=1.0, help="Metres per unit.")
 @click.option("--z-up", is_flag=True, help="The z axis of the files is up, instead of y.")
 @click.option("--unlit", is_flag=True, help="Show textures without lighting, as for scans.")
-@click.option("--textures", type=FilePath(file_okay=False), help="Photographs for surfaces without texture.")
+@click.option("--textures", type=FOLDER, help="Photographs for surfaces without texture.")
 @click.option("--light-rays", type=WholeRange(4, 1024), default=64, help="Light rays per pixel.")
 @click.option("--supersample", type=WholeRange(1, 8), default=2, help="Samples per pixel along each axis.")
 @click.option("--seed", type=WholeRange(0), default=0, help="Seed of walks and lighting.")
@@ -257,8 +259,7 @@ def _walk(
     from omnisyn_cli.poses.file import read_poses
     from omnisyn_cli.scenes.mesh.places import find_walk
     from omnisyn_cli.scenes.mesh.raycast import MeshCaster
-    from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting
-    from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
+    from omnisyn_cli.scenes.mesh.render import lit_scene
 
     caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])
     if poses is not None:
@@ -271,9 +272,7 @@ def _walk(
                 "check --scale and --z-up, or give cameras (--poses)"
             )
         line = {f"{frame:04d}.png": pose for frame, pose in enumerate(found)}
-    first = next(iter(line.values()))
-    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, first.position, light_rays))
-    return scene.exposed_at(first), line
+    return lit_scene(caster, rng, next(iter(line.values())), light_rays), line
 
 
 def _write_folder(

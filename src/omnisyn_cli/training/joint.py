@@ -44,11 +44,6 @@ class JointConfig:
     fusion: FusionConfig
 
     @property
-    def name(self) -> str:
-        """Of both variants."""
-        return f"{self.depth.name}-{self.fusion.name}"
-
-    @property
     def size(self) -> tuple[int, int]:
         """``(height, width)`` that the depth network is exported at."""
         return self.depth.size

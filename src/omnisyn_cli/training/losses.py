@@ -42,7 +42,7 @@ def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 heigh
     known, sqrt_inv_depth = _split_known(target)
     inverse_depth, weights = sqrt_inv_depth.square(), polar_weights(sqrt_inv_depth)
     high, low = (
-        _masked_mean(_clamped_error(estimate, inverse_depth) * weights, known)
+        _masked_mean(signed_error(estimate, inverse_depth).abs() * weights, known)
         for estimate in (prediction.high, prediction.low)
     )
     return high + LOW_HEAD_WEIGHT * low
@@ -53,7 +53,7 @@ def sqrt_inv_depth_loss(
 ) -> Tensor:
     """Mean absolute error, a scalar; an estimate below zero is right where the target is infinitely far."""
     known, target = _split_known(target)
-    return _masked_mean(_clamped_error(sqrt_inv_depth, target) * polar_weights(target), known)
+    return _masked_mean(signed_error(sqrt_inv_depth, target).abs() * polar_weights(target), known)
 
 
 def _split_known(target: Tensor) -> tuple[Tensor, Tensor]:
@@ -77,11 +77,11 @@ def completion_loss(
     weight = area * (1.0 + UNRELIABLE_WEIGHT * torch.maximum(1.0 - reliable, _silhouette_mask(target)))
     logit = prediction.mode_logit
     log_probability = torch.cat([functional.logsigmoid(logit), functional.logsigmoid(-logit)], dim=1)
-    errors = _clamped_error(prediction.modes, target)
+    errors = signed_error(prediction.modes, target).abs()
     log_loss = -torch.logsumexp(log_probability - errors / MODE_ERROR_SCALE, dim=1, keepdim=True)
     expected = (log_probability.exp() * errors).sum(dim=1, keepdim=True)
     likelier = prediction.sqrt_inv_depth()
-    error = (expected + _clamped_error(likelier, target) + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
+    error = (expected + signed_error(likelier, target).abs() + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
     gradients, edges = _gradient_and_edge_error(likelier, target, known)
     correct, logit = _is_correct(prediction.inverse_depth(), target.square()), prediction.confidence_logit
     confidence = functional.binary_cross_entropy_with_logits(logit, correct, weight=area)
@@ -101,10 +101,6 @@ def _silhouette_mask(target: Tensor) -> Tensor:
 def signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
     """An estimate below zero is right where the target is zero: nothing is there."""
     return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
-
-
-def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
-    return signed_error(sqrt_inv_depth, target).abs()
 
 
 def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:

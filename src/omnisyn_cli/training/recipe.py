@@ -23,8 +23,7 @@ from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.io.outputs import make_folder, write_errors
 from omnisyn_cli.training.checkpoint import compact, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import save_samples
-from omnisyn_cli.training.loop import CHECKPOINT, PROCESSOR, Trainer, run, state_of
-from omnisyn_cli.training.precision import Precision
+from omnisyn_cli.training.loop import CHECKPOINT, PROCESSOR, Precision, Trainer, run, state_of
 from omnisyn_cli.training.scene_makers import scene_path
 from omnisyn_cli.training.tasks import TASKS, TrainConfig
 from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk

@@ -21,7 +21,7 @@ from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
 from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
-from omnisyn_cli.training.pairs import draw_pairs, draw_triples
+from omnisyn_cli.training.pairs import Batch, Triples, draw_pairs
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
 
@@ -101,14 +101,6 @@ class Task:
         means = dict(zip(scores[0], rows.nanmean(dim=0).tolist(), strict=True))
         return means | {HELD_OUT_LOSS: float(torch.tensor(losses).mean())}
 
-    @torch.no_grad()
-    def show(self, network: Any, stage: TrainConfig) -> dict[str, np.ndarray]:
-        """Pictures of the first of what networks are judged by; none where nobody looks."""
-        if self.pictures is None:
-            return {}
-        batch = next(self.validation(network, stage))
-        return self.pictures(self.answer_of(network, batch), batch)
-
 
 def on_device(batch: Any, device: torch.device) -> Any:
     """A batch on another device."""
@@ -149,7 +141,7 @@ TASKS: Mapping[str, Task] = {
     "paper": Task(
         PaperConfig, PAPER_VARIANTS, PaperNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_pairs(
-            pool, rng, stage.batch, stage.size, varied, network.config.max_sqrt_inv_depth
+            Batch, pool, rng, stage.batch, stage.size, varied, network.config.max_sqrt_inv_depth
         ),
         loss=lambda answer, batch: losses.paper_loss(answer, batch.sqrt_inv_depth),
         scores=lambda answer, batch: losses.depth_scores(answer, batch.sqrt_inv_depth, batch.baseline),
@@ -184,8 +176,8 @@ TASKS: Mapping[str, Task] = {
     ),
     "joint": Task(
         joint.JointConfig, {}, joint.JointNetwork,
-        draw=lambda pool, rng, stage, network, varied: draw_triples(
-            pool, rng, stage.batch, stage.size, varied, network.depth.config.max_sqrt_inv_depth
+        draw=lambda pool, rng, stage, network, varied: draw_pairs(
+            Triples, pool, rng, stage.batch, stage.size, varied, network.depth.config.max_sqrt_inv_depth
         ),
         answer=joint.joint_answer, loss=joint.joint_loss, scores=joint.joint_scores, pictures=joint.joint_pictures,
     ),

@@ -19,8 +19,8 @@ from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.scenes import GENERATORS, render_panorama
 from omnisyn_cli.scenes.mesh.places import find_walk
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
-from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting, render_mesh
-from omnisyn_cli.scenes.mesh.texturing import SurfaceColours, varied_mesh
+from omnisyn_cli.scenes.mesh.render import MeshScene, lit_scene, render_mesh
+from omnisyn_cli.scenes.mesh.texturing import varied_mesh
 from omnisyn_cli.training.data import Walk, save_samples
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
 from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, photographs, scene_path, walk_of
@@ -160,8 +160,7 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
     poses = find_walk(caster, rng, config.views)
     if poses is None:
         return None
-    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, poses[0].position, LIGHT_RAYS))
-    walk = mesh_walk(scene.exposed_at(poses[0]), poses, config.size, config.supersample)
+    walk = mesh_walk(lit_scene(caster, rng, poses[0], LIGHT_RAYS), poses, config.size, config.supersample)
     is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * MIN_MEAN_BRIGHTNESS
     return None if is_dark else walk
 
