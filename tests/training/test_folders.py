@@ -156,11 +156,6 @@ def test_walks_of_a_recipe_become_a_pool(tmp_path):
 SMALL = WalkConfig(size=(16, 32), kinds=("room",), pose_error_share=0.3, views=2, supersample=1)
 
 
-def test_a_kind_that_does_not_exist_is_not_skipped(tmp_path):
-    with pytest.raises(ValueError, match="streets"):
-        make_walk_file(tmp_path, 0, WalkConfig(kinds=("streets",)))
-
-
 def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypatch):
     def no_room(*_, **__):
         raise ValueError("no room")

@@ -204,7 +204,12 @@ def render(
 
     Needs `pip install "omnisyn-cli[scenes]"`.
     """
+    from functools import partial
+
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
     from omnisyn_cli.io import read_photographs
+    from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
+    from omnisyn_cli.scenes.mesh.render import render_mesh
 
     if pool and (poses is not None or frames < 2):
         raise click.UsageError("expected --pool with at least 2 --frames and without --poses; leave one out")
@@ -218,10 +223,20 @@ def render(
             name = f"{path.stem if path.stem != 'scene' else path.parent.name}_{number:02d}_{walk:04d}"
             scene, line = _walk(mesh, path, (seed, number, walk), frames, poses, light_rays)
             if pool:
-                target = _write_walk(output / f"{name}.npz", scene, line, size, supersample, overwrite)
+                from omnisyn_cli.training.data import save_samples
+                from omnisyn_cli.training.walks import mesh_walk
+
+                target = output / f"{name}.npz"
+                make_folder(output, "a pool")
+                check_output(target, overwrite)
+                save_samples(target, [mesh_walk(scene, list(line.values()), size, supersample)])
             else:
                 target = output / name if several else output
-                _write_folder(target, scene, line, size, supersample, no_depth, overwrite)
+                _check_folder(target, files_of_scene(line, with_depth=not no_depth), overwrite)
+                make_folder(target.parent, "scenes")
+                draw = partial(render_mesh, scene, size=size, supersample=supersample)
+                with staged_folder(target, overwrite=overwrite) as staged:
+                    write_renderings(staged, draw, line, with_depth=not no_depth)
             if not quiet:
                 say(f"{target}: {len(line)} panorama{'s' * (len(line) > 1)}", err=True)
 
@@ -273,33 +288,3 @@ def _walk(
             )
         line = {f"{frame:04d}.png": pose for frame, pose in enumerate(found)}
     return lit_scene(caster, rng, next(iter(line.values())), light_rays), line
-
-
-def _write_folder(
-    folder: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int,
-    no_depth: bool, overwrite: bool,
-) -> None:  # fmt: skip
-    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
-    from omnisyn_cli.io.outputs import make_folder, staged_folder
-    from omnisyn_cli.scenes.mesh.render import render_mesh
-
-    files = files_of_scene(line, with_depth=not no_depth)
-    _check_folder(folder, files, overwrite)
-    make_folder(folder.parent, "scenes")
-    with staged_folder(folder, overwrite=overwrite) as staged:
-        write_renderings(
-            staged, lambda pose: render_mesh(scene, pose, size, supersample=supersample), line, with_depth=not no_depth
-        )
-
-
-def _write_walk(
-    path: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int, overwrite: bool
-) -> Path:
-    from omnisyn_cli.io.outputs import check_output, make_folder
-    from omnisyn_cli.training.data import save_samples
-    from omnisyn_cli.training.walks import mesh_walk
-
-    make_folder(path.parent, "a pool")
-    check_output(path, overwrite)
-    save_samples(path, [mesh_walk(scene, list(line.values()), size, supersample)])
-    return path

@@ -113,10 +113,10 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str | None, height:
 def matched_scenes(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
     from omnisyn_cli.training.completion import make_feature_scene
-    from omnisyn_cli.training.scene_makers import TiltedConfig
+    from omnisyn_cli.training.scene_makers import SceneConfig
 
     _check_pool_height(height)
-    _fill(make_feature_scene, TiltedConfig(size=(height, 2 * height)), **options)
+    _fill(make_feature_scene, SceneConfig(size=(height, 2 * height)), **options)
 
 
 @click.command("fusion-pool")

@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
 from omnisyn_cli.training.data import Array, Augmentation, load_samples, save_samples, stacked, vary_colours
-from omnisyn_cli.training.scene_makers import PATH_STOPS, TiltedConfig, scene_path, take_photograph
+from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
 ORDERED_PAIRS = 4  # Ordered pairs per scene
@@ -33,7 +33,7 @@ class FeatureBatch:
     baseline: Float[Array, "*batch"]  # metres
 
 
-def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
+def make_feature_scene(folder: Path, seed: int, config: SceneConfig) -> Path | None:
     """Render and match the scene of a seed into a pool; None if the scene has no room for a path."""
     found = config.scene(seed, PATH_STOPS)
     if found is None:

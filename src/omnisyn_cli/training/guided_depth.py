@@ -204,8 +204,7 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth)
     area = polar_weights(target) * known
     estimate = prediction.estimate.clamp(min=0.0)
-    ratio = torch.maximum(estimate, target) / torch.minimum(estimate, target).clamp(min=1e-6)
-    ratio = ratio.square()
+    ratio = (torch.maximum(estimate, target) / torch.minimum(estimate, target).clamp(min=1e-6)).square()
     judged = area * (target > MIN_JUDGED)
 
     def within(factor: float) -> float:

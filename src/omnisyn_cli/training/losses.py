@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.geometry.sphere import row_weights
-from omnisyn_cli.networks.completion import CompletionPrediction
+from omnisyn_cli.networks.completion import FILLED_CHANNEL, CompletionPrediction, reliable_mask
 from omnisyn_cli.networks.fusion import DirectFusionUNet, FusionConfig, ResidualFusionUNet
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
@@ -151,15 +151,16 @@ def depth_scores(
 
 @torch.no_grad()
 def completion_scores(
-    prediction: DepthPrediction, filled: Float[Tensor, "batch 1 height width"],
-    target: Float[Tensor, "batch 1 height width"], reliable: Float[Tensor, "batch 1 height width"],
+    prediction: DepthPrediction, channels: Float[Tensor, "batch channels height width"],
+    target: Float[Tensor, "batch 1 height width"],
 ) -> dict[str, float]:  # fmt: skip
-    """Accuracy where matching is unreliable (0), and elsewhere (1); means weigh pixels by solid angle.
+    """Accuracy where matching is unreliable, and elsewhere; means weigh pixels by solid angle.
 
     ``unsure`` is that share of the sphere; over it mean absolute ``error``, shares ``within_5`` and ``within_25`` %,
-    and ``confidence_error`` (see :func:`depth_scores`); over the rest ``error_sure``. Those of ``filled``, √(inverse
-    depth × baseline) of the input, end with ``_filled``.
+    and ``confidence_error`` (see :func:`depth_scores`); over the rest ``error_sure``. Those of the filled map of the
+    input end with ``_filled``.
     """
+    filled, reliable = channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1], reliable_mask(channels)
     known, target = _split_known(target)
     area = polar_weights(target) * known
     unreliable = area * (1.0 - reliable)
@@ -196,13 +197,8 @@ def network_inputs(
     """The inputs of a network: all channels, or as in the paper both renderings and both visibility masks."""
     if not config.is_direct:
         return channels
-    return torch.cat(
-        [
-            channels[:, channel.FIRST_RGB : channel.SECOND_RGB + 3],
-            channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2],
-        ],
-        dim=1,
-    )
+    seen = range(channel.SEEN_MASKS, channel.SEEN_MASKS + 2)
+    return channels[:, [*range(channel.FIRST_RGB, channel.SECOND_RGB + 3), *seen]]
 
 
 def fuse_with(

@@ -122,11 +122,6 @@ def _guided_pictures(answer: guided_depth.GuidedDepthPrediction, batch: GuidedBa
     return _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
 
 
-def _completion_scores(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, float]:
-    filled = batch.channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1]
-    return losses.completion_scores(answer, filled, batch.sqrt_inv_depth, reliable_mask(batch.channels))
-
-
 def _completion_pictures(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
     """The prediction, the reliable matches, and the map that was filled from these."""
     channels, truth = batch.channels[0], batch.sqrt_inv_depth[0, 0]
@@ -162,7 +157,8 @@ TASKS: Mapping[str, Task] = {
         ),
         inputs=lambda _, batch: (batch.channels,),
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
-        scores=_completion_scores, pictures=_completion_pictures, pool="evidence",
+        scores=lambda answer, batch: losses.completion_scores(answer, batch.channels, batch.sqrt_inv_depth),
+        pictures=_completion_pictures, pool="evidence",
     ),
     "fusion": Task(
         FusionConfig, FUSION_VARIANTS, build_fusion,

@@ -14,7 +14,6 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.grouping import median_depth
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
-from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.scenes import GENERATORS, render_panorama
 from omnisyn_cli.scenes.mesh.places import find_walk
@@ -29,6 +28,8 @@ MESH = "mesh"  # Kind of scene that is a mesh; the others are those of :data:`om
 ATTEMPTS = 12  # Seeds that are tried for a walk before the kind is given up
 LIGHT_RAYS = 16  # Directions that every point of a mesh asks for light
 MIN_MEAN_BRIGHTNESS = 0.06  # Mean of a picture below which a walk is dropped
+
+_read_mesh = lru_cache(maxsize=2)(read_mesh)
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
     turn, position = divmod(seed, len(config.kinds))
     number = turn * config.kinds.count(MESH) + config.kinds[:position].count(MESH)
     path = paths[(number + attempt) % len(paths)]
-    mesh = _mesh(path, config.meshes.scale(path))
+    mesh = _read_mesh(path, config.meshes.scale(path))
     if not config.is_held_out:
         mesh = varied_mesh(mesh, rng, photographs(config.textures))
     caster = MeshCaster(mesh)
@@ -178,8 +179,3 @@ def _walk(
     images, depths = zip(*views, strict=True)
     placed = [(pose.position - poses[0].position) @ rotation for pose in poses]
     return walk_of(images, [1.0 / np.maximum(depth, 1e-3) for depth in depths], placed, is_mesh=is_mesh)
-
-
-@lru_cache(maxsize=2)
-def _mesh(path: Path, scale: float) -> TexturedMesh:
-    return read_mesh(path, scale)

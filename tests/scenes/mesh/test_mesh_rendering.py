@@ -186,7 +186,7 @@ def test_places_stand_at_eye_height_and_lines_are_free():
     caster, rng = MeshCaster(joined(pillar, wall_ahead(1.0, pillar.materials[0]))), np.random.default_rng(3)
     places = find_places(caster, rng, 30)
     assert len(places) == 30
-    assert all(1.0 < place.position[1] < 2.0 for place in places)
+    assert all(1.0 < position[1] < 2.0 for position, _ in places)
     for _ in range(20):
         line = find_line(caster, places, rng, 4)
         assert line is not None
