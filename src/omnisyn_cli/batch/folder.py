@@ -70,8 +70,7 @@ class Records:
         if key not in self._places:
             return None
         self._file.seek(self._places[key])
-        record: dict[str, Any] = json.loads(self._file.readline())
-        return record
+        return dict(json.loads(self._file.readline()))
 
     def append(self, record: dict[str, Any]) -> None:
         """Add the line of a job and wait until it is on the disk; WriteError: the disk is full."""

@@ -47,10 +47,7 @@ class GuidedDepthConfig(NetworkConfig):
     groups: int = 4  # of features, each correlated for itself
     widths: tuple[int, ...] = (24, 64, 88, 120, 144)  # channels of the U-net at strides 2, 4, 8, 16 and 32
 
-    @property
-    def size_multiple(self) -> int:
-        """Heights and widths have to be a multiple of this."""
-        return 32
+    size_multiple = 32  # of heights and widths
 
 
 GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}  # The networks by name

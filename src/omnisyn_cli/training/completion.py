@@ -5,7 +5,6 @@ varied colours and some wrong poses, as in life. Arrays are in half precision. T
 pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -76,23 +75,18 @@ def draw_completion(
 
     ``size`` is ``(height, width)`` of the pool or half of it, where things look larger; InputError: it is neither.
     """
-    return stacked([sample for _ in range(pairs) for sample in _draw_pair(pool, rng, size, augment=augment)])
-
-
-def _draw_pair(
-    pool: list[Path], rng: np.random.Generator, size: tuple[int, int], *, augment: bool
-) -> Iterator[FeatureBatch]:
-    """Both panoramas of a random pair of a random scene."""
-    path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(ORDERED_PAIRS // 2))
-    for which in (first, first + 1):
-        (stored,) = load_samples(path, FeatureBatch, which)
-        rows = stored.channels.shape[-2]
-        if rows not in (size[0], 2 * size[0]):
-            raise InputError(
-                f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {rows}; choose another --height"
-            )
-        sample = stored if rows == size[0] else _halve(stored, rng)
-        yield _roll_and_flip(_jitter_colours(sample, rng) if augment else sample, rng)
+    drawn = []
+    for _ in range(pairs):
+        path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(ORDERED_PAIRS // 2))
+        for which in (first, first + 1):
+            (stored,) = load_samples(path, FeatureBatch, which)
+            rows = stored.channels.shape[-2]
+            if rows not in (size[0], 2 * size[0]):
+                wanted = f"{size[0]} or {2 * size[0]} rows"
+                raise InputError(f"expected evidence of {wanted} in {path}, got {rows}; choose another --height")
+            sample = stored if rows == size[0] else _halve(stored, rng)
+            drawn.append(_roll_and_flip(_jitter_colours(sample, rng) if augment else sample, rng))
+    return stacked(drawn)
 
 
 def _jitter_colours(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:

@@ -169,11 +169,8 @@ def render_between(
     pose = Pose(np.eye(3), -ahead * BASELINE_DIRECTION)
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
-    quarter_confidence = np.append(
-        mesh.surface_confidence.ravel(), np.float32(1.0)
-    )  # in quarters of quads; all of it in the caps
+    surface_confidence = np.append(mesh.surface_confidence.ravel(), np.float32(1.0))  # the caps have all of it
     quarter = np.minimum(fragments.face // FACES_PER_QUARTER, mesh.surface_confidence.size)
-    weight = torch.from_numpy(np.where(fragments.visibility, quarter_confidence[quarter], np.float32(0.0))).to(
-        inverse_depth
-    )
+    weights = np.where(fragments.visibility, surface_confidence[quarter], np.float32(0.0))
+    weight = torch.from_numpy(weights).to(inverse_depth)
     return LayerArrays(shown.colour, weight, shown.inverse_depth, torch.as_tensor(pose.position).to(inverse_depth))

@@ -83,7 +83,7 @@ class Trainer:
         self.scores: dict[str, float] = {}
         self.pool = list[Path]()  # scenes to learn from
         self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
-        self.drawn: tuple[int, Future[Any]] | None = None
+        self.drawn: dict[int, Future[Any]] = {}  # batches that were begun, by their steps
         self.best = math.inf
         self.step = 0
         self.cooldown_start: int | None = None
@@ -163,14 +163,10 @@ class Trainer:
 
     def _batch(self) -> Any:
         """The batch of this step; that of the next one is begun, so that it is there when it is wanted."""
-        if self.drawn is None or self.drawn[0] != self.step:
-            self.drawn = self._begin_batch(self.step)
-        batch = self.drawn[1].result()
-        self.drawn = self._begin_batch(self.step + 1)
-        return batch
-
-    def _begin_batch(self, step: int) -> tuple[int, Future[Any]]:
-        return step, self.ahead.submit(self._draw, step, self.scenes_at(step))
+        for step in (self.step, self.step + 1):
+            if step not in self.drawn:
+                self.drawn[step] = self.ahead.submit(self._draw, step, self.scenes_at(step))
+        return self.drawn.pop(self.step).result()
 
     def _draw(self, step: int, pool: list[Path]) -> Any:
         """On one thread: the others learn meanwhile."""

@@ -128,11 +128,9 @@ def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
 
 def walk_source(file: Path) -> SceneSource:
     """A walk as a scene: its views have their numbers as names, and lie in one file."""
-
-    def frames() -> list[SceneFrame]:
-        return [SceneFrame(str(k), file, view.pose) for k, view in enumerate(walk_views(load_walk(file)))]
-
-    return SceneSource(file.stem, frames)
+    return SceneSource(
+        file.stem, lambda: (SceneFrame(str(k), file, view.pose) for k, view in enumerate(walk_views(load_walk(file))))
+    )
 
 
 def pair_of_walk(pair: Pair) -> list[View]:

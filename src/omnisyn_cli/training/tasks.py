@@ -20,7 +20,7 @@ from omnisyn_cli.training import joint, losses, synsin
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
 from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
-from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
+from omnisyn_cli.training.guided_depth import draw_guided, guided_loss, guided_scores
 from omnisyn_cli.training.pairs import Batch, Triples, draw_pairs
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
@@ -117,11 +117,6 @@ def _depth_pictures(answer: DepthPrediction, batch: Any) -> dict[str, np.ndarray
     return depth_pictures(batch.first[0], answer.inverse_depth()[0, 0].sqrt(), batch.sqrt_inv_depth[0, 0])
 
 
-def _guided_pictures(answer: guided_depth.GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
-    """With the confidence from black to white."""
-    return _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
-
-
 def _completion_pictures(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
     """The prediction, the reliable matches, and the map that was filled from these."""
     channels, truth = batch.channels[0], batch.sqrt_inv_depth[0, 0]
@@ -148,7 +143,10 @@ TASKS: Mapping[str, Task] = {
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
         inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
-        loss=guided_loss, scores=guided_scores, pictures=_guided_pictures, role="guided-depth",
+        loss=guided_loss, scores=guided_scores, role="guided-depth",
+        pictures=lambda answer, batch: (
+            _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
+        ),
     ),
     "completion": Task(
         CompletionConfig, completion.COMPLETION_VARIANTS, completion.CompletionNetwork,
