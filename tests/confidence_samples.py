@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omnisyn_cli.evaluation.measure import depth_records
+from omnisyn_cli.evaluation.measure import depth_record
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
@@ -50,7 +50,7 @@ def judged(
     last = disturbed(last, degrees, metres) if degrees or metres else last
     pair = make_method(config, first.image.shape[:2], threads=2).prepare(0, [first, last])
     confidence, frame = pair.prepared.cross_check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
-    records = depth_records(pair.depths, (first, last), ("first", "last"))
+    records = list(map(depth_record, pair.depths, (first, last), ("first", "last")))
     errors = [record.doubt["calibration_error"] for record in records if "calibration_error" in record.doubt]
     true = ws_psnr(np.clip(frame.image, 0, 1), middle.image)
     return Judged(name, confidence.score, confidence.expected, true, float(np.mean(errors)) if errors else None)

@@ -12,7 +12,8 @@ from statistics import fmean
 
 from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
-from omnisyn_cli.evaluation.scene_files import write_suite_scene
+from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, SUPERSAMPLE, write_scene
+from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.scenes.paths import suite_scenes
 
 TABLE = Path(__file__).with_name("regression.json")
@@ -27,7 +28,8 @@ def write_scenes(folder: Path) -> None:
     for walk in suite_scenes():
         if walk.name in SCENES:
             (folder / walk.name).mkdir(parents=True)
-            write_suite_scene(folder / walk.name, walk, SIZE)
+            scene = generate_scene(walk.kind, walk.seed)
+            write_scene(folder / walk.name, scene, walk.path, PANORAMA_NAMES, SIZE, SUPERSAMPLE)
 
 
 def measure(folder: Path) -> Scores:

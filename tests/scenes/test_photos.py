@@ -256,8 +256,3 @@ def test_a_pool_of_photographs_has_the_depth_of_the_procedural_one(tmp_path, fol
     )
     np.testing.assert_array_equal(plain.inverse_depth, take_photograph.inverse_depth)
     assert np.abs(plain.images.astype(int) - take_photograph.images).mean() > 3
-
-
-def test_without_any_photograph_nothing_is_packed():
-    with pytest.raises(ValueError, match="at least one"):
-        pack_photos([])

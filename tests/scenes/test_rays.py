@@ -172,8 +172,3 @@ def test_an_empty_scene_is_ground_and_sky():
     assert np.isinf(depth[:4]).all()
     assert np.isfinite(depth[4:]).all()
     assert np.isfinite(image).all()
-
-
-def test_wrong_sizes_are_named():
-    with pytest.raises(ValueError, match=r"size \(0, 4\)"):
-        render_panorama(random_shapes(0, 4), Pose.identity(), (0, 4))

@@ -92,11 +92,6 @@ def test_masked_pixels_are_no_points():
     assert frame.image[:, 8:56].mean() < 0.3
 
 
-def test_other_numbers_of_panoramas_are_refused():
-    with pytest.raises(InputError, match="1 or 2 panoramas"):
-        SynSin(HallNetworks([]), 3, OPTIONS)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_synsin_models(tmp_path_factory.mktemp("models"))

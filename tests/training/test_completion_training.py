@@ -24,7 +24,7 @@ from omnisyn_cli.training.data import list_scene_files, load_samples
 from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.losses import completion_loss, completion_scores
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.scene_makers import TiltedConfig
+from omnisyn_cli.training.scene_makers import SceneConfig
 from omnisyn_cli.training.tasks import TrainConfig
 
 TINY = CompletionConfig(
@@ -36,7 +36,7 @@ SIZE = (32, 64)
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evidence")
-    paths = [make_feature_scene(folder, seed, TiltedConfig(size=SIZE)) for seed in range(4)]
+    paths = [make_feature_scene(folder, seed, SceneConfig(size=SIZE)) for seed in range(4)]
     return [path for path in paths if path is not None]
 
 
@@ -230,8 +230,7 @@ def test_scores_are_perfect_at_the_truth_and_tell_the_filled_map_apart():
     batch = matched()
     certain = torch.full_like(batch.sqrt_inv_depth, 30.0)
     prediction = CompletionPrediction(batch.sqrt_inv_depth.repeat(1, 2, 1, 1), certain, certain)
-    filled = batch.channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1]
-    scores = completion_scores(prediction, filled, batch.sqrt_inv_depth, sure(batch))
+    scores = completion_scores(prediction, batch.channels, batch.sqrt_inv_depth)
     assert (scores["within_5"], scores["within_25"]) == (pytest.approx(1.0), pytest.approx(1.0))
     assert scores["error"] == pytest.approx(0.0, abs=1e-6)
     assert scores["error_filled"] > 0

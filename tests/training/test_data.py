@@ -13,7 +13,7 @@ from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_walk, save_samples
 from omnisyn_cli.training.loop import train
-from omnisyn_cli.training.pairs import draw_pairs, turned_depth
+from omnisyn_cli.training.pairs import Batch, draw_pairs, turned_depth
 from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, contact_sheet, depth_pictures
 from omnisyn_cli.training.tasks import TrainConfig
 
@@ -41,13 +41,13 @@ def test_where_surfaces_meet_depth_is_that_of_the_nearest():
 def test_a_pool_that_is_no_multiple_of_the_size_is_refused(tmp_path):
     pool = list_scene_files(make_pool(tmp_path))
     with pytest.raises(InputError, match="multiple of 48 rows, got 64"):
-        draw_pairs(pool, np.random.default_rng(0), 1, (48, 96))
+        draw_pairs(Batch, pool, np.random.default_rng(0), 1, (48, 96))
 
 
 def test_equal_seeds_draw_equal_batches(tmp_path):
     pool = list_scene_files(make_pool(tmp_path))
     one, same, other = (
-        draw_pairs(pool, np.random.default_rng(seed), 2, (64, 128), Augmentation()) for seed in (3, 3, 4)
+        draw_pairs(Batch, pool, np.random.default_rng(seed), 2, (64, 128), Augmentation()) for seed in (3, 3, 4)
     )
     assert torch.equal(one.first, same.first)
     assert torch.equal(one.sqrt_inv_depth, same.sqrt_inv_depth)
@@ -58,8 +58,8 @@ def test_varied_colours_stay_colours_of_the_same_picture(tmp_path):
     pool = list_scene_files(make_pool(tmp_path))
     for seed in range(12):
         rng, same = np.random.default_rng(seed), np.random.default_rng(seed)
-        varied = draw_pairs(pool, rng, 1, (64, 128), Augmentation(jpeg=1.0, blur=1.0))
-        plain = draw_pairs(pool, same, 1, (64, 128))
+        varied = draw_pairs(Batch, pool, rng, 1, (64, 128), Augmentation(jpeg=1.0, blur=1.0))
+        plain = draw_pairs(Batch, pool, same, 1, (64, 128))
         assert varied.first.dtype == torch.float32
         assert 0 <= varied.first.min() <= varied.first.max() <= 1
         assert torch.equal(varied.sqrt_inv_depth, plain.sqrt_inv_depth)
@@ -89,7 +89,7 @@ AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))  # second from first camera: 
 @pytest.mark.parametrize("size", [(64, 128), (64, 64), (32, 64)])
 def test_every_pair_is_photoconsistent_straight_ahead(tmp_path, size, make):
     """From either end, mirrored or not: the root, a baseline ahead, leads to the same colour in the second image."""
-    batch = draw_pairs(list_scene_files(make(tmp_path)), np.random.default_rng(0), 12, size)
+    batch = draw_pairs(Batch, list_scene_files(make(tmp_path)), np.random.default_rng(0), 12, size)
     assert batch.first.shape == batch.second.shape == (12, 3, *size)
     assert batch.sqrt_inv_depth.shape == (12, 1, *size)
     assert len(set(np.round(batch.baseline.numpy(), 3))) == 3

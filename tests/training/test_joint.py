@@ -27,7 +27,7 @@ from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_netwo
 from omnisyn_cli.training.data import list_scene_files, save_samples
 from omnisyn_cli.training.loop import Trainer, train
 from omnisyn_cli.training.losses import network_inputs
-from omnisyn_cli.training.pairs import draw_triples, swap_cameras
+from omnisyn_cli.training.pairs import Triples, draw_pairs, swap_cameras
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
@@ -86,7 +86,7 @@ def test_planes_are_those_of_the_program(t):
 def test_true_depth_shows_the_view_between(tmp_path):
     """Whichever end a way is walked from, mirrored or not: both renderings are the true picture."""
     pool = list_scene_files(make_pool(tmp_path, scenes=3))
-    drawn = draw_triples(pool, np.random.default_rng(0), 8, SIZE)
+    drawn = draw_pairs(Triples, pool, np.random.default_rng(0), 8, SIZE)
     second = swap_cameras(drawn.sqrt_inv_depths[1])
     rho = torch.stack([drawn.sqrt_inv_depths[0], second]).squeeze(2).square()
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
@@ -102,7 +102,7 @@ def test_true_depth_shows_the_view_between(tmp_path):
 def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
     """Of the joint loss of a smooth scene without cuts, to the inverse depth of both panoramas, in any direction."""
     rng = np.random.default_rng(0)
-    drawn = draw_triples(list_scene_files(make_pool(tmp_path, scenes=1)), rng, 1, SIZE)
+    drawn = draw_pairs(Triples, list_scene_files(make_pool(tmp_path, scenes=1)), rng, 1, SIZE)
     drawn = replace(drawn, **{name: value.double() for name, value in vars(drawn).items()})
     own = torch.stack([drawn.sqrt_inv_depths[0], swap_cameras(drawn.sqrt_inv_depths[1])]).squeeze(2).square()
     rho = (1.05 * own).requires_grad_()
@@ -137,7 +137,7 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
 
 def test_the_picture_alone_teaches_depth(tmp_path):
     """From a surface that is too far everywhere, the gradient of the picture's error leads to the true one."""
-    drawn = draw_triples(list_scene_files(make_pool(tmp_path, scenes=1)), np.random.default_rng(3), 1, SIZE)
+    drawn = draw_pairs(Triples, list_scene_files(make_pool(tmp_path, scenes=1)), np.random.default_rng(3), 1, SIZE)
     own = torch.stack([drawn.sqrt_inv_depths[0], swap_cameras(drawn.sqrt_inv_depths[1])]).squeeze(2).square()
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
     scale = torch.tensor(0.9, requires_grad=True)
@@ -153,7 +153,7 @@ def test_the_picture_alone_teaches_depth(tmp_path):
 def test_both_networks_are_taught_by_both_losses(tmp_path):
     """The error of the picture alone reaches the weights of the depth network."""
     network = joint.JointNetwork(JOINT)
-    drawn = draw_triples(list_scene_files(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE)
+    drawn = draw_pairs(Triples, list_scene_files(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE)
     answer = joint.joint_answer(network, drawn)
     (answer.picture - drawn.middle).abs().mean().backward()
     for part in (network.depth, network.fusion):
@@ -250,15 +250,15 @@ def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
 def test_pools_of_pairs_are_refused(tmp_path):
     save_samples(tmp_path / "00000000.npz", [ball_scene(along=(0.0, 1.0))])
     with pytest.raises(InputError, match="at least 3 views, got 2"):
-        draw_triples(list_scene_files(tmp_path), np.random.default_rng(0), 1, SIZE)
+        draw_pairs(Triples, list_scene_files(tmp_path), np.random.default_rng(0), 1, SIZE)
 
 
 def test_triples_depend_on_the_seed_alone_and_light_is_the_same_for_all_views(tmp_path):
     from omnisyn_cli.training.data import Augmentation
 
     pool = list_scene_files(make_pool(tmp_path))
-    plain = draw_triples(pool, np.random.default_rng(5), 4, SIZE)
-    one, same = (draw_triples(pool, np.random.default_rng(5), 4, SIZE, Augmentation()) for _ in range(2))
+    plain = draw_pairs(Triples, pool, np.random.default_rng(5), 4, SIZE)
+    one, same = (draw_pairs(Triples, pool, np.random.default_rng(5), 4, SIZE, Augmentation()) for _ in range(2))
     assert all(torch.equal(value, getattr(same, name)) for name, value in vars(one).items())
     assert torch.equal(plain.first, plain.first_texture)
     assert not torch.equal(one.first, one.first_texture)

@@ -11,7 +11,7 @@ from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.checkpoint import load_checkpoint, load_network
 from omnisyn_cli.training.data import save_samples
 from omnisyn_cli.training.fusion_scenes import FusionBatch
-from omnisyn_cli.training.precision import choose_precision
+from omnisyn_cli.training.loop import choose_precision
 from omnisyn_cli.training.publish import publish
 
 SMALL = {"widths": (4, 6, 8, 8, 8, 8), "volume_widths": (4, 6, 8, 8), "levels": 16}

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 from click.testing import CliRunner
+from test_loop import equal
 from training_samples import ball_walk
 
 from omnisyn_cli.cli.train import train
@@ -29,14 +30,6 @@ def _small(monkeypatch):
     monkeypatch.setattr(recipe, "make_walk", lambda seed, _: ball_walk(seed))
 
 
-def same(one, other):
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, (list, tuple)):
-        return len(one) == len(other) and all(map(same, one, other))
-    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
-
-
 class KilledError(Exception):
     pass
 
@@ -58,7 +51,7 @@ def test_a_run_that_is_killed_anywhere_ends_as_if_it_had_not_been(tmp_path, monk
     resumed = train_recipe(PLAN, tmp_path / "killed")
     ours, theirs = ({k: v for k, v in t.state().items() if k not in {"training", "curve"}} for t in (resumed, whole))
     assert resumed.step == 8
-    assert same(ours, theirs)
+    assert equal(ours, theirs)
     figures = [[row["error"] for row in trainer.curve] for trainer in (resumed, whole)]
     assert figures[0] == figures[1]
 

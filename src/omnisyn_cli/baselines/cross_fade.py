@@ -56,11 +56,9 @@ class _CrossFadePair(PairWithoutGeometry):
 
 
 class _FlowPair(_CrossFadePair):
-    def __init__(self, views: tuple[View, View], options: SynthesisOptions, clock: Stopwatch) -> None:
-        super().__init__(views, options, clock)
-        self._rotation: np.ndarray | None = None
-        self._turned: tuple[np.ndarray, ...] = ()
-        self._flows: tuple[np.ndarray, ...] = ()
+    _rotation: np.ndarray | None = None
+    _turned: tuple[np.ndarray, ...] = ()
+    _flows: tuple[np.ndarray, ...] = ()
 
     def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """The average of both, moved, as numbers."""

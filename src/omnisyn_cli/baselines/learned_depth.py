@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, at_same_position
@@ -33,7 +32,6 @@ class LearnedDepthEstimator:
                 f"expected a depth model of two images of one fixed size, got inputs {shapes}; name another"
             )
         self.size: tuple[int, int] = (shapes[0][-2], shapes[0][-1])
-        self._estimate_size = (self.size[0], 2 * self.size[0])
         frame = session.get_modelmeta().custom_metadata_map.get("frame")
         if frame != "forward":
             raise InputError(f"expected a depth model of the frame 'forward', got {frame!r}; name another")
@@ -45,20 +43,19 @@ class LearnedDepthEstimator:
         if at_same_position(first.pose, second.pose):
             return self._nothing(), self._nothing()
         frame, _, baseline = forward_frame(first.pose, second.pose)
-        images = [self._rectified(view, frame) for view in (first, second)]
+        images = [
+            np.asarray(rotated_image(view.image, view.pose.rotation, frame.rotation, self.size), np.float32)
+            for view in (first, second)
+        ]
         swapped = [swap_cameras_in_forward_frame(image) for image in reversed(images)]
         of_first, first_confidence = self._run(*images)
         of_second, second_confidence = (swap_cameras_in_forward_frame(x) for x in self._run(*swapped))
         first_agreement = free_space_agreement(of_first, of_second, Pose(np.eye(3), -FORWARD_DIRECTION))
         second_agreement = free_space_agreement(of_second, of_first, Pose(np.eye(3), FORWARD_DIRECTION))
         return (
-            self._estimate(first, frame, of_first / np.float32(baseline), first_confidence * first_agreement),
-            self._estimate(second, frame, of_second / np.float32(baseline), second_confidence * second_agreement),
+            turned_estimate(first, frame, of_first / np.float32(baseline), first_confidence * first_agreement),
+            turned_estimate(second, frame, of_second / np.float32(baseline), second_confidence * second_agreement),
         )
-
-    def _rectified(self, view: View, frame: Pose) -> Float[np.ndarray, "height width 3"]:
-        """The panorama as a camera held like ``frame`` would have taken it, at the network's size."""
-        return np.asarray(rotated_image(view.image, view.pose.rotation, frame.rotation, self.size), np.float32)
 
     def _run(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth × baseline and confidence of ``first``, both in the network's frame."""
@@ -66,21 +63,21 @@ class LearnedDepthEstimator:
         images = [np.ascontiguousarray(image.transpose(2, 0, 1)[None]) for image in (first, second)]
         return run_depth_network(self.session, dict(zip(names, images, strict=True)), self.size)
 
-    def _estimate(self, view: View, frame: Pose, inverse_depth: np.ndarray, confidence: np.ndarray) -> DepthEstimate:
-        """Both maps as the camera was held."""
-        directions = rotated_directions(self._estimate_size, frame.rotation, view.pose.rotation)
-        confidence = np.clip(sample_bilinear(confidence, directions), 0.0, 1.0)
-        if view.mask is not None:
-            own = pixel_directions(*self._estimate_size)
-            confidence = confidence * sample_nearest(view.mask.astype(np.float32), own)
-        inside = sample_between_edges(inverse_depth, directions)
-        return DepthEstimate(inside.astype(np.float32), confidence.astype(np.float32))
-
     def _nothing(self) -> DepthEstimate:
-        return DepthEstimate(np.zeros(self._estimate_size, np.float32), np.zeros(self._estimate_size, np.float32))
+        nothing = np.zeros((self.size[0], 2 * self.size[0]), np.float32)
+        return DepthEstimate(nothing, nothing.copy())
 
 
-def sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Bilinear on surfaces, the nearest pixel at edges: nothing is invented between a thing and what is behind it."""
-    smooth, nearest = sample_bilinear(values, directions), sample_nearest(values, directions)
-    return np.asarray(np.where(np.abs(smooth - nearest) > SAME_POINT_TOLERANCE * nearest, nearest, smooth))
+def turned_estimate(view: View, frame: Pose, inverse_depth: np.ndarray, confidence: np.ndarray) -> DepthEstimate:
+    """Both maps, of a view held like ``frame``, as its camera was held; its mask takes confidence away.
+
+    Depth is bilinear on surfaces, the nearest pixel's at edges: nothing is invented between things.
+    """
+    size = (len(inverse_depth), 2 * len(inverse_depth))
+    directions = rotated_directions(size, frame.rotation, view.pose.rotation)
+    confidence = np.clip(sample_bilinear(confidence, directions), 0.0, 1.0)
+    if view.mask is not None:
+        confidence = confidence * sample_nearest(view.mask.astype(np.float32), pixel_directions(*size))
+    smooth, nearest = sample_bilinear(inverse_depth, directions), sample_nearest(inverse_depth, directions)
+    inside = np.where(np.abs(smooth - nearest) > SAME_POINT_TOLERANCE * nearest, nearest, smooth)
+    return DepthEstimate(np.asarray(inside, np.float32), confidence.astype(np.float32))

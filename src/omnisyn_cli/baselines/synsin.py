@@ -14,13 +14,12 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.baselines.cross_fade import PairWithoutGeometry
-from omnisyn_cli.baselines.learned_depth import sample_between_edges
+from omnisyn_cli.baselines.learned_depth import turned_estimate
 from omnisyn_cli.baselines.soft_points import Cloud, splat
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.session import run_network
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panorama
@@ -54,7 +53,7 @@ class MonocularDepthEstimator:
 
     def inverse_depth(self, image: Float32[np.ndarray, "height width 3"]) -> Float32[np.ndarray, "height width"]:
         """1/metre of an upright panorama of :attr:`size`; InputError if the model is broken."""
-        found: np.ndarray = _run(self._session, image, (1, *self.size))[0]
+        found: np.ndarray = _run(self._session, image, (1, *self.size))[..., 0]
         if not (found >= 0).all():
             raise InputError("expected a model whose inverse depths are not negative, got others; name another")
         return found
@@ -62,11 +61,7 @@ class MonocularDepthEstimator:
     def _estimate(self, view: View) -> DepthEstimate:
         """Inverse depth as the camera was held."""
         found = self.inverse_depth(upright_image(view, self.size))
-        directions = rotated_directions(self.size, WORLD_ROTATION, view.pose.rotation)
-        confidence = np.ones(self.size, np.float32)
-        if view.mask is not None:
-            confidence = sample_nearest(view.mask.astype(np.float32), pixel_directions(*self.size))
-        return DepthEstimate(sample_between_edges(found, directions).astype(np.float32), confidence)
+        return turned_estimate(view, Pose.identity(), found, np.ones_like(found))
 
 
 class SynSinSessions:
@@ -88,11 +83,11 @@ class SynSinSessions:
 
     def features(self, image: Float32[np.ndarray, "height width 3"]) -> Float32[np.ndarray, "height width channels"]:
         """Of an upright panorama of :attr:`size`."""
-        return _channels_last(_run(self._encoder, image, (self._channels, *self.size)))
+        return _run(self._encoder, image, (self._channels, *self.size))
 
     def picture(self, points: Float32[np.ndarray, "height width channels"]) -> Float32[np.ndarray, "height width 3"]:
         """RGB in [0, 1] of blended features and, last, their opacity."""
-        return np.asarray(np.clip(_channels_last(_run(self._decoder, points, (3, *self.size))), 0.0, 1.0))
+        return np.asarray(np.clip(_run(self._decoder, points, (3, *self.size)), 0.0, 1.0))
 
 
 def _size_of(session: Any, taken: str, given: str) -> tuple[int, int]:
@@ -108,14 +103,10 @@ def _size_of(session: Any, taken: str, given: str) -> tuple[int, int]:
 
 
 def _run(session: Any, image: Float[np.ndarray, "height width channels"], shape: tuple[int, ...]) -> np.ndarray:
-    """The only output of a model, of this shape, for its only input."""
+    """The only output of a model, of this shape with channels first, for its only input; channels last."""
     (entry,) = session.get_inputs()
     planes = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32)
-    return np.asarray(run_network(session, {entry.name: planes}, [(1, *shape)])[0][0])
-
-
-def _channels_last(planes: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(planes.transpose(1, 2, 0))
+    return np.ascontiguousarray(run_network(session, {entry.name: planes}, [(1, *shape)])[0][0].transpose(1, 2, 0))
 
 
 class SynSin:
@@ -124,8 +115,6 @@ class SynSin:
     def __init__(
         self, networks: SynSinSessions, sources: int, options: SynthesisOptions, clock: Stopwatch | None = None
     ) -> None:
-        if sources not in (1, 2):
-            raise InputError(f"expected 1 or 2 panoramas for a frame, got {sources}; choose one of these")
         self.networks, self.sources, self.options, self.clock = networks, sources, options, clock or Stopwatch()
         self._clouds: dict[int, Cloud] = {}
 

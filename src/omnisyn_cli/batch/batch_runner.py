@@ -179,7 +179,7 @@ def _without_folders(value: Any, output: Path, inputs: Path) -> Any:
     if not isinstance(value, str):
         return value
     hidden = rf"{re.escape(TEMPORARY_PREFIX)}[0-9a-f-]+"
-    attempt = rf"{hidden}{re.escape(STAGING_SUFFIX)}[/\\]{hidden}[/\\]"
+    attempt = rf"{hidden}{re.escape(STAGING_SUFFIX)}[/\\](?:{hidden}[/\\])?"
     made, given = (re.escape(f"{folder}{os.sep}") for folder in (output.absolute(), inputs))
     return re.sub(f"(?:{made}(?:{attempt})?|{given})", "", value)
 

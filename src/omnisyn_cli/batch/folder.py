@@ -70,8 +70,7 @@ class Records:
         if key not in self._places:
             return None
         self._file.seek(self._places[key])
-        record: dict[str, Any] = json.loads(self._file.readline())
-        return record
+        return dict(json.loads(self._file.readline()))
 
     def append(self, record: dict[str, Any]) -> None:
         """Add the line of a job and wait until it is on the disk; WriteError: the disk is full."""
@@ -159,17 +158,9 @@ def _remove(staging: Path) -> None:
 @contextmanager
 def attempt_folder(staging: Path) -> Iterator[tuple[Path, bool]]:
     """An empty folder for one attempt, and whether it is in the hidden one, which another machine may not see."""
-    if not staging.is_dir():
-        with scratch_folder() as folder:
-            yield folder, False
-        return
-    attempt = temporary_name(staging)
-    try:
-        with write_errors(attempt):
-            attempt.mkdir()
-        yield attempt, True
-    finally:
-        shutil.rmtree(attempt, ignore_errors=True)
+    is_shared = staging.is_dir()
+    with hidden_folder(staging) if is_shared else scratch_folder() as folder:
+        yield folder, is_shared
 
 
 def output_stats(folder: Path, places: Iterable[str]) -> dict[str, dict[str, Any]]:

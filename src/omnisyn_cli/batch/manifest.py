@@ -1,6 +1,7 @@
 """The manifest of a batch: a job a line, JSONL or CSV, checked whole before anything starts; see ``docs/batch.md``."""
 
 import math
+import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -103,7 +104,7 @@ class _Reader:
         self._ids: dict[str, int] = {}
         self._places: dict[PurePosixPath, int] = {}
         self._parents: dict[PurePosixPath, int] = {}
-        self._exists = lru_cache(maxsize=None)(_is_file)
+        self._exists = lru_cache(maxsize=None)(os.path.isfile)  # which raises nothing, whatever the name
         self._resolved = lru_cache(maxsize=4096)(real_path)
         self._poses = lru_cache(maxsize=256)(_poses_or_problem)
 
@@ -126,8 +127,10 @@ class _Reader:
         if line.scene is None and (line.inputs is None or line.poses is None):
             raise InputError("expected inputs with poses, or a scene, got neither; name one of them")
         base = self._folder / (line.scene or "")
-        poses = self._pose_path(line, base)
-        pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses, line.allow_outside)
+        poses = base / POSES_NAME if line.poses is None else self._folder / line.poses
+        is_found = line.poses is not None and Path(line.poses) == POSES_FROM_PICTURES
+        poses = POSES_FROM_PICTURES if is_found else self._place(poses)
+        pose_file = None if is_found else self._poses(poses, line.allow_outside)
         if isinstance(pose_file, str):
             raise InputError(pose_file)
         names = line.inputs or _ends(pose_file)
@@ -148,12 +151,6 @@ class _Reader:
         outputs = {kind: place for kind in OUTPUTS if (place := getattr(line, kind)) is not None}
         outputs.setdefault("output", f"{line.id}.mp4")
         return BatchJob(line.id, images, poses, outputs, options, line.group, self._folder)
-
-    def _pose_path(self, line: Any, base: Path) -> Path:
-        if line.poses is None:
-            return self._place(base / POSES_NAME)
-        given = Path(line.poses)
-        return given if given == POSES_FROM_PICTURES else self._place(self._folder / given)
 
     def _file(self, path: Path, what: str) -> Path:
         """A place where there is a file."""
@@ -181,14 +178,6 @@ class _Reader:
             for parent in place.parents:
                 if parent.name:
                     self._parents.setdefault(parent, number)
-
-
-def _is_file(path: Path) -> bool:
-    """Whether there is a file; no file has a name that the system refuses."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _poses_or_problem(path: Path, allow_outside: bool) -> PoseFile | str:

@@ -62,10 +62,6 @@ class RayExecutor:
         (reference,), _ = self._ray.wait([*self._running, *self._starting], num_returns=1)
         if reference in self._running:
             return [self._report(reference)]
-        self._started(reference)
-        return []
-
-    def _started(self, reference: Any) -> None:
         try:
             self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
@@ -74,6 +70,7 @@ class RayExecutor:
                 "every node"
             ) from error
         self._idle.add(self._starting.pop(reference))
+        return []
 
     def _report(self, reference: Any) -> Report:
         worker = self._running.pop(reference)

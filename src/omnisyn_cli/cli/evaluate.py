@@ -111,7 +111,10 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         plan = plan_evaluation(job)
         if not quiet:
             left = leftover_notes(report, pictures=report / PICTURES_FOLDER) if report else ()
-            for note in (_about_results(report), *left):
+            kept = f"are kept in {report} as they come; started again, the command goes on from there"
+            if report is None:
+                kept = "are printed at the end and kept nowhere; --report DIR keeps them as they come, with pictures"
+            for note in (f"results {kept}", *left):
                 say(f"note: {note}", err=True)
         with counted_bar(
             "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet
@@ -125,13 +128,6 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         if report is not None:
             say(f"{report / 'report.html'}: {len(records)} results")
     return int(any(record.status == "failed" for record in records))
-
-
-def _about_results(report: Path | None) -> str:
-    """Where results are, and what that is good for."""
-    if report is None:
-        return "results are printed at the end and kept nowhere; --report DIR keeps them as they come, with pictures"
-    return f"results are kept in {report} as they come; started again, the command goes on from there"
 
 
 def _print_table(records: Sequence[UnitRecord]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, named, output_options, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, device_option, named, output_options, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -53,6 +53,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio", *VIEWERS)
     help="With pannellum and marzipano: make short videos along the links, which the page shows instead of fading.",
 )  # fmt: skip
 @surface_options
+@device_option("Where networks run; auto uses a GPU if ONNX Runtime has one.")
 @output_options
 def export(
     *, as_json: bool, dry_run: bool, quiet: bool, clips: bool,

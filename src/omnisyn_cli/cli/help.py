@@ -12,14 +12,14 @@ from omnisyn_cli.cli.terminal import printable
 
 # Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last.
 SECTIONS: Mapping[str, str] = {
-    "Input": "every path poses baseline camera_height refine new masks blur face_model nadir nadir_fill allow_outside "
-    "allow_aspect upper_half hfov vfov horizon view_transform max_pixels",
-    "Output": "output frames duration fps size format views stereo codec crf encoder_preset audio texture lossless "
-    "folder serve is_opened clips stride sky dome save_depth save_confidence save_frames overwrite",
+    "Input": "poses baseline camera_height refine path every new masks blur face_model nadir nadir_fill allow_aspect "
+    "upper_half hfov vfov horizon view_transform max_pixels allow_outside",
+    "Output": "output frames duration fps size format texture lossless folder serve is_opened stride sky dome clips "
+    "codec crf encoder_preset audio save_confidence save_depth save_frames views stereo overwrite",
     "Quality and time": "preset budget fallback device threads",
     "Camera": "ease heading fov look",
     "Depth": "depth model depth_prior depth_prior_kind cut cut_metres",
-    "For comparison": "method renderer fusion adaptive",
+    "For comparison": "method renderer adaptive fusion",
     "Other": "dry_run as_json verbose quiet help_all help",
 }
 # Parameters that only ``--help-all`` lists.
@@ -44,7 +44,7 @@ class SectionedCommand(click.Command):
         )  # fmt: skip
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The sections, each with its options in the order in which the command declares them."""
+        """The sections, each with its options."""
         is_complete = ctx.meta.get(_show_all.__name__, False)
         options = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
         for section, shown in by_section(options).items():
@@ -59,11 +59,10 @@ class SectionedCommand(click.Command):
 
 
 def by_section(options: Iterable[click.Option]) -> dict[str, list[click.Option]]:
-    """Options by the name of their section, in the order of the sections."""
-    home: dict[str | None, str] = {name: section for section, names in SECTIONS.items() for name in names.split()}
-    found: dict[str, list[click.Option]] = {section: [] for section in SECTIONS}
-    for option in options:
-        found[home.get(option.name, "Other")].append(option)
+    """Options by the name of their section, in the order of :data:`SECTIONS`."""
+    left = {option.name: option for option in options}
+    found = {name: [left.pop(each) for each in names.split() if each in left] for name, names in SECTIONS.items()}
+    found["Other"] += left.values()
     return found
 
 

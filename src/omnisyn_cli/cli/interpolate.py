@@ -9,21 +9,13 @@ import click
 
 from omnisyn_cli.cli.help import SectionedCommand
 from omnisyn_cli.cli.options import (
-    blur_options,
     check_one_cut,
-    cut_options,
-    depth_options,
     device_option,
     json_option,
     listed,
-    masks_option,
-    nadir_option,
     named,
-    outside_option,
-    preset_option,
     quiet_option,
-    size_options,
-    threads_option,
+    surface_options,
     tour_options,
 )
 from omnisyn_cli.cli.parameters import (
@@ -72,17 +64,15 @@ if TYPE_CHECKING:
     "--method", type=click.Choice([name for name, method in METHODS.items() if method.is_offered]), default=OMNISYN,
     help="omnisyn, or the baseline SynSin from the nearer panorama or from both (256x128, blurred).",
 )  # fmt: skip
-@preset_option
+@surface_options
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
     help="Pick the most accurate preset that should finish in this time.",
 )  # fmt: skip
-@depth_options
 @click.option(
     "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto",
     help=f"Renderer of the meshes. {listed(RENDERERS)}; auto: the preset's.",
 )  # fmt: skip
-@cut_options
 @click.option(
     "--adaptive/--no-adaptive", default=None,
     help="Draw flat surfaces with fewer triangles; nothing moves by more than an eighth of a pixel.  [default: from "
@@ -112,9 +102,6 @@ if TYPE_CHECKING:
     "17 for h264]",
 )  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
-@masks_option
-@blur_options
-@nadir_option
 @click.option("--nadir-fill", is_flag=True, help="Fill masked areas with ground in the first and last frame, too.")
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="soft",
@@ -151,9 +138,6 @@ if TYPE_CHECKING:
     help="top-bottom: both eyes for headsets. Distances have to be in metres.",
 )  # fmt: skip
 @device_option("Where networks run; auto uses a GPU if ONNX Runtime has one. All else runs on the processor.")
-@threads_option
-@size_options
-@outside_option
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option("--dry-run", is_flag=True, help="Print the plan and the expected time, and make nothing.")
 @json_option("the summary")

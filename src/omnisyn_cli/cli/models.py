@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import PlainGroup
-from omnisyn_cli.cli.parameters import FilePath
+from omnisyn_cli.cli.parameters import FILE, FOLDER, FilePath
 from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
@@ -125,11 +125,8 @@ def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-FOLDER = FilePath(file_okay=False)  # a click type: any path that is no file
-
-
 @click.command("export-onnx")
-@click.argument("checkpoint", type=FilePath(dir_okay=False))
+@click.argument("checkpoint", type=FILE)
 @click.option("-o", "--output", type=FOLDER, help="Folder of models.  [default: that of the checkpoint]")
 @click.option("--name", help="Name for `--model`, or its first part for several networks.  [default: KIND-VARIANT]")
 @click.option("--pairs", "pool", type=FOLDER, help="Also compare on the pairs of this pool.")

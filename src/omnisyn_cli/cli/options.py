@@ -190,9 +190,8 @@ preset_option = click.option(
 )  # fmt: skip
 
 
-surface_options = all_of(  # how the surfaces of panoramas are found, for what is made of surfaces instead of frames
-    preset_option, depth_options, cut_options, masks_option, blur_options, nadir_option,
-    device_option("Where networks run; auto uses a GPU if ONNX Runtime has one."), threads_option, size_options,
+surface_options = all_of(  # how the surfaces of panoramas are found
+    preset_option, depth_options, cut_options, masks_option, blur_options, nadir_option, threads_option, size_options,
     outside_option,
 )  # fmt: skip
 

@@ -90,6 +90,9 @@ class FilePath(click.Path):
         return Path(os.fsdecode(super().convert(value, param, ctx)))
 
 
+FOLDER, FILE = FilePath(file_okay=False), FilePath(dir_okay=False)  # any path that is no file, or no folder
+
+
 class FramePlace(FilePath):
     """A video, a folder or a pattern. ``Path`` drops the slash of ``walk.final/``, without which that is a file."""
 

@@ -114,11 +114,7 @@ class Stages:
         self._tasks: dict[str, TaskID] = {}
         self._begun: list[str] = []
         self._pairs = 0
-
-    @property
-    def has_bars(self) -> bool:
-        """Whether bars are drawn, among which nobody else may print."""
-        return self._bars is not None
+        self.has_bars = bars is not None  # among which nobody else may print
 
     def note(self, line: str) -> None:
         """Print a line on stderr, above bars if there are any."""

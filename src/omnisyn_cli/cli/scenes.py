@@ -11,7 +11,7 @@ import click
 
 from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.options import quiet_option, threads_option
-from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
+from omnisyn_cli.cli.parameters import FILE, FOLDER, FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 from omnisyn_cli.cli.terminal import say
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 KINDS = ("street", "room", "home")
 # Of every command that makes scenes.
 TEXTURES = click.option(
-    "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
+    "--textures", type=FOLDER, metavar="FOLDER",
     help="Photographs to use as materials of walls, floors, fronts, pictures and objects.",
 )  # fmt: skip
 
@@ -127,8 +127,9 @@ def _check_suite_options(context: click.Context) -> None:
 
 def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
-    from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, files_of_scene, write_suite_scene
+    from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, SUPERSAMPLE, files_of_scene, write_scene
     from omnisyn_cli.io.outputs import make_folder, staged_folder
+    from omnisyn_cli.scenes import generate_scene
     from omnisyn_cli.scenes.paths import suite_scenes
 
     walks = list(suite_scenes())
@@ -138,7 +139,8 @@ def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwr
     for walk in walks:
         if walk.path:
             with staged_folder(out / walk.name, overwrite=overwrite) as staged:
-                write_suite_scene(staged, walk, size, threads)
+                scene = generate_scene(walk.kind, walk.seed)
+                write_scene(staged, scene, walk.path, PANORAMA_NAMES, size, SUPERSAMPLE, threads)
         if not quiet:
             missing = f"not made, the scene has no room for {walk.baseline:g} m"
             say(f"{out / walk.name}: {f'{len(walk.path)} panoramas' if walk.path else missing}", err=True)
@@ -171,16 +173,16 @@ def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
 
 
 @scenes.command()
-@click.argument("meshes", nargs=-1, required=True, type=FilePath(dir_okay=False))
-@click.option("-o", "--output", required=True, type=FilePath(file_okay=False), help="Folder to write.")
+@click.argument("meshes", nargs=-1, required=True, type=FILE)
+@click.option("-o", "--output", required=True, type=FOLDER, help="Folder to write.")
 @click.option("--count", type=WholeRange(1), default=1, help="Walks through each mesh.")
 @click.option("--frames", type=WholeRange(1), default=3, help="Panoramas on a straight line.")
-@click.option("--poses", type=FilePath(dir_okay=False), help="Pose file of the cameras, in the mesh's frame, y up.")
+@click.option("--poses", type=FILE, help="Pose file of the cameras, in the mesh's frame, y up.")
 @click.option("--size", type=Size(), default="1024x512", help="Size of the panoramas.")
 @click.option("--scale", type=FiniteRange(0, min_open=True), default=1.0, help="Metres per unit.")
 @click.option("--z-up", is_flag=True, help="The z axis of the files is up, instead of y.")
 @click.option("--unlit", is_flag=True, help="Show textures without lighting, as for scans.")
-@click.option("--textures", type=FilePath(file_okay=False), help="Photographs for surfaces without texture.")
+@click.option("--textures", type=FOLDER, help="Photographs for surfaces without texture.")
 @click.option("--light-rays", type=WholeRange(4, 1024), default=64, help="Light rays per pixel.")
 @click.option("--supersample", type=WholeRange(1, 8), default=2, help="Samples per pixel along each axis.")
 @click.option("--seed", type=WholeRange(0), default=0, help="Seed of walks and lighting.")
@@ -202,7 +204,12 @@ def render(
 
     Needs `pip install "omnisyn-cli[scenes]"`.
     """
+    from functools import partial
+
+    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
     from omnisyn_cli.io import read_photographs
+    from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder
+    from omnisyn_cli.scenes.mesh.render import render_mesh
 
     if pool and (poses is not None or frames < 2):
         raise click.UsageError("expected --pool with at least 2 --frames and without --poses; leave one out")
@@ -216,10 +223,20 @@ def render(
             name = f"{path.stem if path.stem != 'scene' else path.parent.name}_{number:02d}_{walk:04d}"
             scene, line = _walk(mesh, path, (seed, number, walk), frames, poses, light_rays)
             if pool:
-                target = _write_walk(output / f"{name}.npz", scene, line, size, supersample, overwrite)
+                from omnisyn_cli.training.data import save_samples
+                from omnisyn_cli.training.walks import mesh_walk
+
+                target = output / f"{name}.npz"
+                make_folder(output, "a pool")
+                check_output(target, overwrite)
+                save_samples(target, [mesh_walk(scene, list(line.values()), size, supersample)])
             else:
                 target = output / name if several else output
-                _write_folder(target, scene, line, size, supersample, no_depth, overwrite)
+                _check_folder(target, files_of_scene(line, with_depth=not no_depth), overwrite)
+                make_folder(target.parent, "scenes")
+                draw = partial(render_mesh, scene, size=size, supersample=supersample)
+                with staged_folder(target, overwrite=overwrite) as staged:
+                    write_renderings(staged, draw, line, with_depth=not no_depth)
             if not quiet:
                 say(f"{target}: {len(line)} panorama{'s' * (len(line) > 1)}", err=True)
 
@@ -257,8 +274,7 @@ def _walk(
     from omnisyn_cli.poses.file import read_poses
     from omnisyn_cli.scenes.mesh.places import find_walk
     from omnisyn_cli.scenes.mesh.raycast import MeshCaster
-    from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting
-    from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
+    from omnisyn_cli.scenes.mesh.render import lit_scene
 
     caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])
     if poses is not None:
@@ -271,36 +287,4 @@ def _walk(
                 "check --scale and --z-up, or give cameras (--poses)"
             )
         line = {f"{frame:04d}.png": pose for frame, pose in enumerate(found)}
-    first = next(iter(line.values()))
-    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, first.position, light_rays))
-    return scene.exposed_at(first), line
-
-
-def _write_folder(
-    folder: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int,
-    no_depth: bool, overwrite: bool,
-) -> None:  # fmt: skip
-    from omnisyn_cli.evaluation.scene_files import files_of_scene, write_renderings
-    from omnisyn_cli.io.outputs import make_folder, staged_folder
-    from omnisyn_cli.scenes.mesh.render import render_mesh
-
-    files = files_of_scene(line, with_depth=not no_depth)
-    _check_folder(folder, files, overwrite)
-    make_folder(folder.parent, "scenes")
-    with staged_folder(folder, overwrite=overwrite) as staged:
-        write_renderings(
-            staged, lambda pose: render_mesh(scene, pose, size, supersample=supersample), line, with_depth=not no_depth
-        )
-
-
-def _write_walk(
-    path: Path, scene: MeshScene, line: dict[str, Pose], size: tuple[int, int], supersample: int, overwrite: bool
-) -> Path:
-    from omnisyn_cli.io.outputs import check_output, make_folder
-    from omnisyn_cli.training.data import save_samples
-    from omnisyn_cli.training.walks import mesh_walk
-
-    make_folder(path.parent, "a pool")
-    check_output(path, overwrite)
-    save_samples(path, [mesh_walk(scene, list(line.values()), size, supersample)])
-    return path
+    return lit_scene(caster, rng, next(iter(line.values())), light_rays), line

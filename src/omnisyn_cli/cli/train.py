@@ -9,8 +9,8 @@ import click
 from omnisyn_cli.cli import train_pools
 from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.options import all_of, defaulted, whole_option
-from omnisyn_cli.cli.parameters import FiniteRange, WholeRange
-from omnisyn_cli.cli.train_pools import FILE, FOLDER, MINUTES, run_options
+from omnisyn_cli.cli.parameters import FILE, FOLDER, FiniteRange, WholeRange
+from omnisyn_cli.cli.train_pools import MINUTES, run_options
 
 # Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long.
 SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
@@ -44,14 +44,10 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
     )
 
 
-def _height_option(default: int, least: int, more: str = ".") -> Callable[..., Any]:
-    return whole_option("--height", default, least, f"Rows of the training images{more}")
-
-
 @train.command()
 @_stage_options("pool", batch=4, rate=1e-4)
 @defaulted("--variant", "paper-narrow", "Network of a new run: paper, paper-square or paper-narrow.")
-@_height_option(256, 64)
+@whole_option("--height", 256, 64, "Rows of the training images.")
 def depth(**options: Any) -> None:
     """Train a depth network in FOLDER, or continue the run there."""
     _train_variant("depth", **options)
@@ -60,7 +56,7 @@ def depth(**options: Any) -> None:
 @train.command()
 @_stage_options("evidence", batch=4, rate=8e-4)
 @defaulted("--variant", "balanced", "Network of a new run.")
-@_height_option(128, 64, ": those of the pool, or half of them.")
+@whole_option("--height", 128, 64, "Rows of the training images: those of the pool, or half of them.")
 def completion(**options: Any) -> None:
     """Train the network that completes matched depth in FOLDER, or continue the run there.
 
@@ -80,7 +76,7 @@ def fusion(**options: Any) -> None:
 @train.command()
 @_stage_options("pool", batch=2, rate=6e-4)
 @defaulted("--variant", "small", "Networks of a new run.")
-@_height_option(128, 32, "; it learns faster with half of them first.")
+@whole_option("--height", 128, 32, "Rows of the training images; it learns faster with half of them first.")
 def synsin(**options: Any) -> None:
     """Train the baseline SynSin in FOLDER, or continue the run there.
 
@@ -95,7 +91,7 @@ def synsin(**options: Any) -> None:
 @defaulted(
     "--fusion", "paper-narrow", "Fusion network of a new run: paper, paper-narrow or a checkpoint of one of them."
 )
-@_height_option(256, 64)
+@whole_option("--height", 256, 64, "Rows of the training images.")
 def joint(depth: str, fusion: str, **options: Any) -> None:
     """Train depth and fusion together in FOLDER, through the renderer, or continue the run there.
 

@@ -9,13 +9,11 @@ import click
 
 from omnisyn_cli.cli.evaluate import layout_option
 from omnisyn_cli.cli.options import all_of, defaulted, device_option, whole_option
-from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.parameters import FILE, FOLDER, FiniteRange, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
-# Click types: any path that is no file, and any that is no folder.
-FOLDER, FILE = FilePath(file_okay=False), FilePath(dir_okay=False)
 # Of the height of matched scenes and of renderings: twice what the networks need that learn from parts of them.
 POOL_MULTIPLE = 64
 # An option of all runs.
@@ -27,17 +25,13 @@ MACHINE = (
 )
 
 
-def _height_option(of: str, height: int = 256) -> Callable[..., Any]:
-    return whole_option("--height", height, 64, f"Rows of every {of}.")
-
-
 def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]:
     """What commands take that render scenes."""
     return all_of(
         click.argument("folder", type=FOLDER),
         whole_option("--scenes", count, 1, "Number of scenes."),
         whole_option("--seed", 0, 0, "Seed of the first scene."),
-        _height_option(of, height),
+        whole_option("--height", height, 64, f"Rows of every {of}."),
     )
 
 
@@ -69,7 +63,7 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.option(
     "--pairs", metavar="0:4|every:N|FILE", help="Pairs of frames, see omnisyn eval.  [default: every:1; whole walks]"
 )
-@_height_option("view")
+@whole_option("--height", 256, 64, "Rows of every view.")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str | None, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth files, to the pool FOLDER for `train depth`.
 
@@ -119,10 +113,10 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str | None, height:
 def matched_scenes(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
     from omnisyn_cli.training.completion import make_feature_scene
-    from omnisyn_cli.training.scene_makers import TiltedConfig
+    from omnisyn_cli.training.scene_makers import SceneConfig
 
     _check_pool_height(height)
-    _fill(make_feature_scene, TiltedConfig(size=(height, 2 * height)), **options)
+    _fill(make_feature_scene, SceneConfig(size=(height, 2 * height)), **options)
 
 
 @click.command("fusion-pool")
@@ -209,7 +203,7 @@ def run_options(folder: Path, minutes: float | None, threads: int | None, device
     """What every run is told: its end, where it computes, and whom it reports to."""
     import torch
 
-    from omnisyn_cli.training.precision import choose_precision
+    from omnisyn_cli.training.loop import choose_precision
 
     if threads:
         torch.set_num_threads(threads)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.help import SectionedCommand
-from omnisyn_cli.cli.options import check_one_cut, named, output_options, surface_options, tour_options
+from omnisyn_cli.cli.options import check_one_cut, device_option, named, output_options, surface_options, tour_options
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.runner import run_job
 from omnisyn_cli.cli.terminal import say
@@ -43,6 +43,7 @@ OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long a
 @click.option("--serve", is_flag=True, help="Serve the folder to browsers on this machine until Ctrl-C.")
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
 @surface_options
+@device_option("Where networks run; auto uses a GPU if ONNX Runtime has one.")
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="soft",
     help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded photographs; none: a "

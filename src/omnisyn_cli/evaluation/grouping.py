@@ -6,7 +6,7 @@ Standard errors are over scenes, since frames of one scene are alike; over pairs
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -110,12 +110,6 @@ def median_depth(inverse_depth: Float[np.ndarray, "height width"]) -> float:
     near = inverse_depth[::4, ::4]
     near = near[np.isfinite(near) & (near > 0)]
     return 1.0 / float(np.median(near)) if near.size else 1e3
-
-
-def with_median_depth(records: Sequence[UnitRecord]) -> list[UnitRecord]:
-    """The records of pairs whose median depth is known, all with that of one of their methods."""
-    depths = {record.pair: record.median_depth for record in records if record.median_depth is not None}
-    return [replace(record, median_depth=depths[record.pair]) for record in records if record.pair in depths]
 
 
 def relative_baseline_bin(record: UnitRecord) -> tuple[float, str]:

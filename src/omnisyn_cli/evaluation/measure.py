@@ -67,7 +67,7 @@ def measure(
     has_parallax = not at_same_position(*(view.pose for view in pair.views))
     clip = _clip_measures(method, made, pair) if has_parallax else {}
     found = made.depths if has_parallax else None
-    depths = () if found is None else depth_records(found, pair.views, names)
+    depths = () if found is None else tuple(map(depth_record, found, pair.views, names))
     total = {**seconds, "total": math.fsum(seconds.values())}
     return Measurement(images, kinds, frames, depths, found, {**clip, **_end_errors(made, pair, threads)}, total)
 
@@ -123,14 +123,8 @@ def frame_scores(image: Picture, truth: Picture, perceptual: Perceptual | None =
     return scores
 
 
-def depth_records(
-    found: tuple[DepthEstimate, DepthEstimate], views: tuple[View, View], names: tuple[str, str]
-) -> tuple[DepthRecord, ...]:
-    """Errors of the depth of both views where the truth is known, at the resolution of the truth."""
-    return tuple(_depth_record(*each) for each in zip(found, views, names, strict=True))
-
-
-def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
+def depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
+    """Errors of the depth of a view where the truth is known, at the resolution of the truth."""
     if view.known_depth is None:
         return DepthRecord(name)
     known = view.known_depth

@@ -219,10 +219,7 @@ BASES: Mapping[str, ComparedMethod] = {
         *((name, m.description, RunConfig(method=name)) for name, m in STRATEGIES.items() if not m.draws_surfaces),
         ("matching", "depth by matching, mesh, geometric fusion", RunConfig(DepthSource("matching"), adaptive=True)),
         *((f"omnisyn-{name}", f"the preset {name}", preset.config) for name, preset in SCALE.items()),
-        (
-            "omnisyn-paper", "the preset paper: the method of the paper with narrower networks",
-            PRESETS["paper"].config,
-        ),
+        ("omnisyn-paper", "the preset paper: the method of the paper with narrower networks", PRESETS["paper"].config),
         (
             "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
             replace(_DEFAULT, renderer="two-pass"),

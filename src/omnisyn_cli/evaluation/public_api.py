@@ -1,5 +1,6 @@
 """The verbs of ``import omnisyn_cli`` that compare; the others are in :mod:`omnisyn_cli.interpolation.api`."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,10 @@ def evaluate(
     None keeps nothing. ``options`` are those of :class:`omnisyn_cli.evaluation.engine.EvaluationJob`. OmnisynError: no
     scenes, no such method, or a folder that cannot be written.
     """
-    if report is not None:
-        return engine.evaluate(
-            engine.plan_evaluation(engine.EvaluationJob(Path(dataset), Path(report), methods, **options))
-        )
-    with scratch_folder() as folder:
-        job = engine.EvaluationJob(Path(dataset), folder, methods, **{"pictures": False, **options})
-        return engine.evaluate(engine.plan_evaluation(job), has_report=False)
+    is_kept = report is not None
+    with scratch_folder() if report is None else nullcontext(Path(report)) as folder:
+        job = engine.EvaluationJob(Path(dataset), folder, methods, **{"pictures": is_kept, **options})
+        return engine.evaluate(engine.plan_evaluation(job), has_report=is_kept)
 
 
 def score(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> dict[str, float]:

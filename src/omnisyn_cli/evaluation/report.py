@@ -10,7 +10,7 @@ import math
 import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
@@ -150,14 +150,14 @@ def bench_tables(measured: Sequence[Figures]) -> list[Table]:
 
 def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
     reference = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
-    columns = {
-        WS_PSNR: _ws_psnr,
+    columns: dict[Column, Callable[[Figures], float]] = {
+        WS_PSNR: lambda f: _number(f.ws_psnr),
         Column(f"against {reference.setting.method}, dB", 1): lambda f: planned.gain(f, reference)[0],
         Column("± dB", 0): lambda f: planned.gain(f, reference)[1],
         Column(f"{planned.STANDARD_FRAMES} frames, s", -1, 1): planned.standard_seconds,
         Column("First frame, s", -1, 1): planned.first_seconds,
         Column("Each further frame, s", -1, 3): planned.frame_seconds,
-        MEMORY: _megabytes,
+        MEMORY: lambda f: _number(f.memory) / 1e6,
     }
     front = planned.pareto_front(measured)
     rows = tuple(
@@ -191,12 +191,9 @@ def _stage_row(figures: Figures, stages: Sequence[str]) -> Row:
     if figures.status != "done":
         return Row(figures.setting.name, (), figures.reason)
     seconds = (figures.seconds.get(stage, 0.0) for stage in stages)
-    return Row(figures.setting.name, tuple(Cell(value) for value in (*seconds, _megabytes(figures), _ws_psnr(figures))))
+    values = (*seconds, _number(figures.memory) / 1e6, _number(figures.ws_psnr))
+    return Row(figures.setting.name, tuple(map(Cell, values)))
 
 
-def _ws_psnr(figures: Figures) -> float:
-    return math.nan if figures.ws_psnr is None else figures.ws_psnr
-
-
-def _megabytes(figures: Figures) -> float:
-    return math.nan if figures.memory is None else figures.memory / 1e6
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -104,8 +104,7 @@ class UnitRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values for strict JSON, see :func:`json_values`."""
-        values: dict[str, Any] = json_values(asdict(self))
-        return values
+        return dict(json_values(asdict(self)))
 
 
 RECORD = TypeAdapter(UnitRecord)  # makes records of the plain values of :meth:`UnitRecord.to_json` again

@@ -10,23 +10,16 @@ from omnisyn_cli import scenes
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
-from omnisyn_cli.scenes import Scene, generate_scene
-from omnisyn_cli.scenes.paths import FRAMES_PER_WALK, SuiteScene
+from omnisyn_cli.scenes import Scene
+from omnisyn_cli.scenes.paths import FRAMES_PER_WALK
 
-# Of the panoramas of every scene of the standard set.
-PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
-SUPERSAMPLE = 3  # samples per pixel along each axis of the standard set
+# Of the panoramas of every scene of the standard set, and samples per pixel along each axis there.
+PANORAMA_NAMES, SUPERSAMPLE = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK)), 3
 
 
 def files_of_scene(names: Collection[str], *, with_depth: bool = True) -> list[str]:
     """Names of the files of a scene: its panoramas, their depth if it is wanted, and poses."""
     return [*names, *(map(depth_name, names) if with_depth else ()), POSES_NAME]
-
-
-def write_suite_scene(folder: Path, walk: SuiteScene, size: tuple[int, int], threads: int | None = None) -> None:
-    """Write one scene of the standard set into a folder that exists; WriteError: the disk is full."""
-    scene = generate_scene(walk.kind, walk.seed)
-    write_scene(folder, scene, walk.path, PANORAMA_NAMES, size, SUPERSAMPLE, threads)
 
 
 def write_scene(

@@ -260,7 +260,9 @@ def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
         ("Baseline", "Between the panoramas", lambda unit, _: grouping.distance_band(unit.baseline)),
     ):
         yield _score_table(title, corner, records, group)
-    if known := grouping.with_median_depth(records):
+    depths = {record.pair: record.median_depth for record in records if record.median_depth is not None}
+    known = [replace(record, median_depth=depths[record.pair]) for record in records if record.pair in depths]
+    if known:  # of one of the methods of each pair
         title = "Baseline over median depth"
         yield _score_table(title, "Pairs", known, lambda unit, _: grouping.relative_baseline_bin(unit))
 

@@ -109,12 +109,9 @@ def _view(frame: SceneFrame) -> View:
         given = read_mask(frame.mask)
         check_mask_size(frame.mask, given.shape, panorama.image.shape[:2])
         mask = given if mask is None else mask & given
-    return View(panorama.image, frame.pose, mask, _depth(frame))
-
-
-def _depth(frame: SceneFrame) -> DepthEstimate | None:
-    if frame.depth is None:
-        return None
-    inverse_depth = frame.read_depth(frame.depth)
-    known = inverse_depth > 0 if frame.has_holes else np.ones(inverse_depth.shape, bool)
-    return DepthEstimate(inverse_depth, known.astype(np.float32))
+    depth = None
+    if frame.depth is not None:
+        inverse_depth = frame.read_depth(frame.depth)
+        known = inverse_depth > 0 if frame.has_holes else np.ones(inverse_depth.shape, bool)
+        depth = DepthEstimate(inverse_depth, known.astype(np.float32))
+    return View(panorama.image, frame.pose, mask, depth)

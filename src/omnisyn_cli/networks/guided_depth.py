@@ -7,7 +7,6 @@ Source: Sayed et al., SimpleRecon, 2022 (cost volume in 2-D); Guo et al., 2019 (
 RAFT, 2020 (convex upsampling); Kendall and Gal, 2017 (Laplace scale).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -16,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_direction
-from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
+from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0
 from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConfig, Ports, check_multiple
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
 from omnisyn_cli.networks.paper import upsample_linear
@@ -48,10 +47,7 @@ class GuidedDepthConfig(NetworkConfig):
     groups: int = 4  # of features, each correlated for itself
     widths: tuple[int, ...] = (24, 64, 88, 120, 144)  # channels of the U-net at strides 2, 4, 8, 16 and 32
 
-    @property
-    def size_multiple(self) -> int:
-        """Heights and widths have to be a multiple of this."""
-        return 32
+    size_multiple = 32  # of heights and widths
 
 
 GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}  # The networks by name
@@ -207,14 +203,6 @@ class GuidedDepthNetwork(Network):
             {"first": 3, "second": 3, "towards": 3, "guidance": GUIDANCE_CHANNELS}, size=self.config.size,
             own_sizes=own_sizes, notes={"frame": "upright"}, is_folded=False,
         )  # fmt: skip
-
-    def encoder_parameters(self) -> list[nn.Parameter]:
-        """Those that begin pretrained and learn slower."""
-        return list(self.encoder.parameters())
-
-    def load_encoder(self, classifier: Mapping[str, Tensor]) -> None:
-        """Begin with the weights of a classifier, see :func:`~omnisyn_cli.networks.efficientnet.from_classifier`."""
-        self.encoder.load_state_dict(from_classifier(classifier))
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"],

@@ -151,9 +151,7 @@ NO_PHOTOS = Photos(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64))  #
 
 
 def pack_photos(images: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Photos:
-    """Photographs of any sizes, averaged as light, which is the square of a sample; ValueError: there are none."""
-    if not images:
-        raise ValueError("expected at least one photograph, got none")
+    """One photograph or more, of any sizes, averaged as light, which is the square of a sample."""
     texels, levels, first = [], [], 0
     for image in images:
         rows = []

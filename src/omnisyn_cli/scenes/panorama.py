@@ -65,17 +65,13 @@ class DrawnScene:
         return colours
 
 
-@lru_cache(maxsize=2)
-def _drawn(scene: Scene) -> DrawnScene:
-    return DrawnScene(scene)
+_drawn = lru_cache(maxsize=2)(DrawnScene)
 
 
 def render_panorama(
     scene: Scene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
     """:func:`omnisyn_cli.scenes.mesh.render.render` of a generated scene; depth is inf where there is only sky."""
-    if min(size) < 1 or supersample < 1:
-        raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
     drawn = _drawn(scene)
     return render(drawn.caster, lambda _: drawn.shade, pose, size, supersample, threads)
 

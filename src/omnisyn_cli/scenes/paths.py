@@ -38,8 +38,6 @@ def sample_path(
     the ends; None = what is usual. ``vertical`` is the share of paths straight up, ``tilt`` the standard deviation
     (radians) of each frame's pitch and roll; above 0 each has its own heading. ValueError: there is no room.
     """
-    if frames < 1:
-        raise ValueError(f"expected at least 1 frame, got {frames}")
     rng = np.random.default_rng([11, seed])
     heading = rng.uniform(-math.pi, math.pi)
     share = np.random.default_rng([12, seed]).random()

@@ -85,8 +85,7 @@ def triangles(
         owners.append(np.repeat(members, len(corner_faces)))
         axes.append(np.tile(face_axes, len(members)))
         count += vertices[-1].shape[0]
-    joined = (np.concatenate(parts) for parts in (vertices, faces, owners, axes))
-    points, corners, owner, axis = joined
+    points, corners, owner, axis = (np.concatenate(parts) for parts in (vertices, faces, owners, axes))
     return points.astype(np.float32), corners.astype(np.int32), owner, axis
 
 

@@ -42,11 +42,9 @@ class StreetPlan:
 
     def blocks(self) -> list[tuple[float, float]]:
         """The stretches of z between the crossings."""
-        edges = [-STREET_HALF_LENGTH]
-        for middle, half in sorted(self.crossings):
-            edges += [middle - half, middle + half]
-        edges.append(STREET_HALF_LENGTH)
-        return [(edges[i], edges[i + 1]) for i in range(0, len(edges), 2) if edges[i + 1] > edges[i] + 1.0]
+        ends = [-STREET_HALF_LENGTH, *(z for at, half in sorted(self.crossings) for z in (at - half, at + half))]
+        blocks = zip(ends[::2], [*ends[1::2], STREET_HALF_LENGTH], strict=True)
+        return [(low, high) for low, high in blocks if high > low + 1.0]
 
 
 def draw_plan(rng: np.random.Generator) -> StreetPlan:

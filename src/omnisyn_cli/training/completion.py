@@ -5,7 +5,6 @@ varied colours and some wrong poses, as in life. Arrays are in half precision. T
 pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
 from omnisyn_cli.training.data import Array, Augmentation, load_samples, save_samples, stacked, vary_colours
-from omnisyn_cli.training.scene_makers import PATH_STOPS, TiltedConfig, scene_path, take_photograph
+from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
 ORDERED_PAIRS = 4  # Ordered pairs per scene
@@ -33,7 +32,7 @@ class FeatureBatch:
     baseline: Float[Array, "*batch"]  # metres
 
 
-def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
+def make_feature_scene(folder: Path, seed: int, config: SceneConfig) -> Path | None:
     """Render and match the scene of a seed into a pool; None if the scene has no room for a path."""
     found = config.scene(seed, PATH_STOPS)
     if found is None:
@@ -76,23 +75,18 @@ def draw_completion(
 
     ``size`` is ``(height, width)`` of the pool or half of it, where things look larger; InputError: it is neither.
     """
-    return stacked([sample for _ in range(pairs) for sample in _draw_pair(pool, rng, size, augment=augment)])
-
-
-def _draw_pair(
-    pool: list[Path], rng: np.random.Generator, size: tuple[int, int], *, augment: bool
-) -> Iterator[FeatureBatch]:
-    """Both panoramas of a random pair of a random scene."""
-    path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(ORDERED_PAIRS // 2))
-    for which in (first, first + 1):
-        (stored,) = load_samples(path, FeatureBatch, which)
-        rows = stored.channels.shape[-2]
-        if rows not in (size[0], 2 * size[0]):
-            raise InputError(
-                f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {rows}; choose another --height"
-            )
-        sample = stored if rows == size[0] else _halve(stored, rng)
-        yield _roll_and_flip(_jitter_colours(sample, rng) if augment else sample, rng)
+    drawn = []
+    for _ in range(pairs):
+        path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(ORDERED_PAIRS // 2))
+        for which in (first, first + 1):
+            (stored,) = load_samples(path, FeatureBatch, which)
+            rows = stored.channels.shape[-2]
+            if rows not in (size[0], 2 * size[0]):
+                wanted = f"{size[0]} or {2 * size[0]} rows"
+                raise InputError(f"expected evidence of {wanted} in {path}, got {rows}; choose another --height")
+            sample = stored if rows == size[0] else _halve(stored, rng)
+            drawn.append(_roll_and_flip(_jitter_colours(sample, rng) if augment else sample, rng))
+    return stacked(drawn)
 
 
 def _jitter_colours(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:

@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int8, Shaped, UInt8
+from jaxtyping import Float, Float32, Int8, UInt8
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
@@ -163,13 +163,6 @@ def check_height(pool: list[Path], multiple: int) -> None:
         )
 
 
-def reduced(image: Shaped[np.ndarray, "rows cols 3"], size: tuple[int, int]) -> Shaped[np.ndarray, "height width 3"]:
-    """Means over blocks."""
-    if image.shape[:2] == size:
-        return image
-    return np.asarray(cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA))
-
-
 def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
     """Values at block centres: of an even block the mean of four pixels on one surface, else the nearest of them."""
     stride = inverse_depth.shape[0] // size[0]
@@ -180,13 +173,23 @@ def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tup
     return np.asarray(np.where(one_surface, around.mean(axis=0), nearest))
 
 
+def relit(
+    colours: Float32[np.ndarray, "views height width 3"], rng: np.random.Generator, augmentation: Augmentation,
+    tints: tuple[int, ...],
+) -> Float32[np.ndarray, "views height width 3"]:  # fmt: skip
+    """Another light, the same for all views but for ``tints``, the shape of the factors that are drawn."""
+    a = augmentation
+    gain = (1 + a.exposure * rng.uniform(-1, 1)) * (1 + a.relative * rng.uniform(-1, 1, tints))
+    gamma = np.float32(1 + a.gamma * rng.uniform(-1, 1))
+    return np.asarray(np.clip(colours * gain.astype(np.float32), 1e-4, 1.0) ** gamma, np.float32)
+
+
 def vary_colours(
     colours: Float32[np.ndarray, "2 height width 3"], rng: np.random.Generator, augmentation: Augmentation
 ) -> Float32[np.ndarray, "2 height width 3"]:
     """What differs between photographs of the same place: light, white balance, gamma, focus, noise, compression."""
     a, f32 = augmentation, np.float32
-    gain = (1 + a.exposure * rng.uniform(-1, 1)) * (1 + a.relative * rng.uniform(-1, 1, (2, 1, 1, 3)))
-    varied = np.clip(colours * gain.astype(f32), 1e-4, 1.0) ** f32(1 + a.gamma * rng.uniform(-1, 1))
+    varied = relit(colours, rng, a, (2, 1, 1, 3))
     for image in varied:
         if rng.random() < a.blur:
             blurred = cv2.GaussianBlur(add_border(image, BLUR_REACH), (0, 0), rng.uniform(0.4, 1.2))

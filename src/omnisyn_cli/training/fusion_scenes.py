@@ -34,7 +34,7 @@ from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import Array, load_samples, load_walk, save_samples, stacked, walk_views
-from omnisyn_cli.training.scene_makers import TiltedConfig, noisy_pose, scene_path, take_photograph
+from omnisyn_cli.training.scene_makers import SceneConfig, noisy_pose, scene_path, take_photograph
 from omnisyn_cli.types import DepthEstimator, Layer, View
 
 # Height of photographs and renderings, and of the stored pictures, in heights of the network inputs.
@@ -71,7 +71,7 @@ SIGNED_CHANNELS = [channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POS
 
 
 @dataclass(frozen=True)
-class FusionSceneConfig(TiltedConfig):
+class FusionSceneConfig(SceneConfig):
     """How scenes are rendered."""
 
     views_between: int = 3  # per scene

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
@@ -85,7 +86,9 @@ def _pair(
         towards = towards * [-1.0, 1.0, 1.0]
     if augmentation is not None:
         images, inverse_depth, matching, towards = _held_by_hand(images, inverse_depth, matching, towards, rng)
-    colours = np.stack([data.reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
+    colours = np.stack(
+        [cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA) for image in images]
+    ).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
         colours = with_cap(data.vary_colours(colours, rng, augmentation), rng)
     matching = reduced_matching(matching, matching.shape[1] * STRIDE // size[0])
@@ -201,8 +204,7 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth)
     area = polar_weights(target) * known
     estimate = prediction.estimate.clamp(min=0.0)
-    ratio = torch.maximum(estimate, target) / torch.minimum(estimate, target).clamp(min=1e-6)
-    ratio = ratio.square()
+    ratio = (torch.maximum(estimate, target) / torch.minimum(estimate, target).clamp(min=1e-6)).square()
     judged = area * (target > MIN_JUDGED)
 
     def within(factor: float) -> float:

@@ -24,9 +24,9 @@ from omnisyn_cli.fusion.input_channels import fusion_input_channels
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork, PaperPrediction
-from omnisyn_cli.render.mesh import Mesh, build_mesh
+from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUARTER
-from omnisyn_cli.render.rasterize import Fragments, rasterize
+from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.losses import depth_scores, fusion_loss, fusion_scores, network_inputs, paper_loss
 from omnisyn_cli.training.pairs import Triples, swap_cameras
@@ -42,11 +42,6 @@ class JointConfig:
 
     depth: PaperConfig
     fusion: FusionConfig
-
-    @property
-    def name(self) -> str:
-        """Of both variants."""
-        return f"{self.depth.name}-{self.fusion.name}"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -174,12 +169,8 @@ def render_between(
     pose = Pose(np.eye(3), -ahead * BASELINE_DIRECTION)
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
-    weight = _weight(fragments, mesh).to(inverse_depth)
-    return LayerArrays(shown.colour, weight, shown.inverse_depth, torch.as_tensor(pose.position).to(inverse_depth))
-
-
-def _weight(fragments: Fragments, mesh: Mesh) -> Float[Tensor, "height width"]:
-    """Trust in the quarters of quads that are seen; all of it in the caps."""
-    surface_confidence = np.append(mesh.surface_confidence.ravel(), np.float32(1.0))
+    surface_confidence = np.append(mesh.surface_confidence.ravel(), np.float32(1.0))  # the caps have all of it
     quarter = np.minimum(fragments.face // FACES_PER_QUARTER, mesh.surface_confidence.size)
-    return torch.from_numpy(np.where(fragments.visibility, surface_confidence[quarter], np.float32(0.0)))
+    weights = np.where(fragments.visibility, surface_confidence[quarter], np.float32(0.0))
+    weight = torch.from_numpy(weights).to(inverse_depth)
+    return LayerArrays(shown.colour, weight, shown.inverse_depth, torch.as_tensor(pose.position).to(inverse_depth))

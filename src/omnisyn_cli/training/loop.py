@@ -8,7 +8,8 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,43 @@ from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.training.checkpoint import compact, load_state, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_scene_files
 from omnisyn_cli.training.pictures import contact_sheet
-from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.tasks import HELD_OUT_LOSS, TASKS, NetworkConfig, TrainConfig, on_device, task_of
 
 # Files of a run: what it goes on from; compact, the one that was judged best; a row for each validation.
 CHECKPOINT, BEST_CHECKPOINT, LOG = "checkpoint.pt", "best.pt", "log.jsonl"
 COLLAPSE_LOSS_RATIO = 1.25  # Ratio of the loss to the least so far from which on the run does not recover
+# Questions to :mod:`torch.cpu`, not all of which every version of torch knows: whether there are instructions that
+# multiply in bfloat16. Without them torch imitates it, three times slower than single precision.
+BF16_INSTRUCTIONS = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
+
+
+@dataclass(frozen=True)
+class Precision:
+    """A device and its arithmetic."""
+
+    device: torch.device  # that weights, batches and averages are on
+    is_half: bool = False  # whether convolutions and products are computed in bfloat16; weights and losses never are
+
+    def __str__(self) -> str:
+        """As said to users."""
+        return f"{self.device}, {'bfloat16' if self.is_half else 'single precision'}"
+
+    def autocast(self) -> AbstractContextManager[object]:
+        """To compute a loss in."""
+        return torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.is_half)
+
+
+def choose_precision(device: str = "auto") -> Precision:
+    """``auto``: CUDA, else bfloat16 if the processor has it. InputError: CUDA without a GPU."""
+    has_cuda = torch.cuda.is_available()
+    if device == "cuda" and not has_cuda:
+        raise InputError("expected a CUDA GPU and a torch that can use it, got none; use --device cpu")
+    if device != "cpu" and has_cuda:
+        return Precision(torch.device("cuda"), is_half=torch.cuda.is_bf16_supported())
+    multiplies = device == "auto" and any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
+    return Precision(torch.device("cpu"), is_half=multiplies)
+
+
 PROCESSOR = Precision(torch.device("cpu"))  # The processor in single precision
 
 
@@ -51,7 +83,7 @@ class Trainer:
         self.scores: dict[str, float] = {}
         self.pool = list[Path]()  # scenes to learn from
         self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
-        self.drawn: tuple[int, Future[Any]] | None = None
+        self.drawn: dict[int, Future[Any]] = {}  # batches that were begun, by their steps
         self.best = math.inf
         self.step = 0
         self.cooldown_start: int | None = None
@@ -131,14 +163,10 @@ class Trainer:
 
     def _batch(self) -> Any:
         """The batch of this step; that of the next one is begun, so that it is there when it is wanted."""
-        if self.drawn is None or self.drawn[0] != self.step:
-            self.drawn = self._begin_batch(self.step)
-        batch = self.drawn[1].result()
-        self.drawn = self._begin_batch(self.step + 1)
-        return batch
-
-    def _begin_batch(self, step: int) -> tuple[int, Future[Any]]:
-        return step, self.ahead.submit(self._draw, step, self.scenes_at(step))
+        for step in (self.step, self.step + 1):
+            if step not in self.drawn:
+                self.drawn[step] = self.ahead.submit(self._draw, step, self.scenes_at(step))
+        return self.drawn.pop(self.step).result()
 
     def _draw(self, step: int, pool: list[Path]) -> Any:
         """On one thread: the others learn meanwhile."""
@@ -174,10 +202,13 @@ class Trainer:
         """What a row of the log says besides figures."""
         return {}
 
+    @torch.no_grad()
     def sheet(self, network: Any) -> np.ndarray | None:
-        """What is seen of the answers of the averaged network, RGB in [0, 1]; None where nobody looks."""
-        pictures = self.task.show(network, self.config)
-        return contact_sheet(pictures) if pictures else None
+        """What the averaged network answers to the first of what it is judged by, RGB in [0, 1]; None: nobody looks."""
+        if self.task.pictures is None:
+            return None
+        batch = next(self.task.validation(network, self.config))
+        return contact_sheet(self.task.pictures(self.task.answer_of(network, batch), batch))
 
     def end_validation(self, folder: Path, row: dict[str, Any]) -> None:
         """When a row of the log has been written: scenes that were made meanwhile are learned from as well."""

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.geometry.sphere import row_weights
-from omnisyn_cli.networks.completion import CompletionPrediction
+from omnisyn_cli.networks.completion import FILLED_CHANNEL, CompletionPrediction, reliable_mask
 from omnisyn_cli.networks.fusion import DirectFusionUNet, FusionConfig, ResidualFusionUNet
 from omnisyn_cli.networks.interface import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
@@ -42,7 +42,7 @@ def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 heigh
     known, sqrt_inv_depth = _split_known(target)
     inverse_depth, weights = sqrt_inv_depth.square(), polar_weights(sqrt_inv_depth)
     high, low = (
-        _masked_mean(_clamped_error(estimate, inverse_depth) * weights, known)
+        _masked_mean(signed_error(estimate, inverse_depth).abs() * weights, known)
         for estimate in (prediction.high, prediction.low)
     )
     return high + LOW_HEAD_WEIGHT * low
@@ -53,7 +53,7 @@ def sqrt_inv_depth_loss(
 ) -> Tensor:
     """Mean absolute error, a scalar; an estimate below zero is right where the target is infinitely far."""
     known, target = _split_known(target)
-    return _masked_mean(_clamped_error(sqrt_inv_depth, target) * polar_weights(target), known)
+    return _masked_mean(signed_error(sqrt_inv_depth, target).abs() * polar_weights(target), known)
 
 
 def _split_known(target: Tensor) -> tuple[Tensor, Tensor]:
@@ -77,11 +77,11 @@ def completion_loss(
     weight = area * (1.0 + UNRELIABLE_WEIGHT * torch.maximum(1.0 - reliable, _silhouette_mask(target)))
     logit = prediction.mode_logit
     log_probability = torch.cat([functional.logsigmoid(logit), functional.logsigmoid(-logit)], dim=1)
-    errors = _clamped_error(prediction.modes, target)
+    errors = signed_error(prediction.modes, target).abs()
     log_loss = -torch.logsumexp(log_probability - errors / MODE_ERROR_SCALE, dim=1, keepdim=True)
     expected = (log_probability.exp() * errors).sum(dim=1, keepdim=True)
     likelier = prediction.sqrt_inv_depth()
-    error = (expected + _clamped_error(likelier, target) + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
+    error = (expected + signed_error(likelier, target).abs() + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
     gradients, edges = _gradient_and_edge_error(likelier, target, known)
     correct, logit = _is_correct(prediction.inverse_depth(), target.square()), prediction.confidence_logit
     confidence = functional.binary_cross_entropy_with_logits(logit, correct, weight=area)
@@ -101,10 +101,6 @@ def _silhouette_mask(target: Tensor) -> Tensor:
 def signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
     """An estimate below zero is right where the target is zero: nothing is there."""
     return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
-
-
-def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
-    return signed_error(sqrt_inv_depth, target).abs()
 
 
 def _gradient_and_edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
@@ -155,15 +151,16 @@ def depth_scores(
 
 @torch.no_grad()
 def completion_scores(
-    prediction: DepthPrediction, filled: Float[Tensor, "batch 1 height width"],
-    target: Float[Tensor, "batch 1 height width"], reliable: Float[Tensor, "batch 1 height width"],
+    prediction: DepthPrediction, channels: Float[Tensor, "batch channels height width"],
+    target: Float[Tensor, "batch 1 height width"],
 ) -> dict[str, float]:  # fmt: skip
-    """Accuracy where matching is unreliable (0), and elsewhere (1); means weigh pixels by solid angle.
+    """Accuracy where matching is unreliable, and elsewhere; means weigh pixels by solid angle.
 
     ``unsure`` is that share of the sphere; over it mean absolute ``error``, shares ``within_5`` and ``within_25`` %,
-    and ``confidence_error`` (see :func:`depth_scores`); over the rest ``error_sure``. Those of ``filled``, √(inverse
-    depth × baseline) of the input, end with ``_filled``.
+    and ``confidence_error`` (see :func:`depth_scores`); over the rest ``error_sure``. Those of the filled map of the
+    input end with ``_filled``.
     """
+    filled, reliable = channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1], reliable_mask(channels)
     known, target = _split_known(target)
     area = polar_weights(target) * known
     unreliable = area * (1.0 - reliable)
@@ -200,13 +197,8 @@ def network_inputs(
     """The inputs of a network: all channels, or as in the paper both renderings and both visibility masks."""
     if not config.is_direct:
         return channels
-    return torch.cat(
-        [
-            channels[:, channel.FIRST_RGB : channel.SECOND_RGB + 3],
-            channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2],
-        ],
-        dim=1,
-    )
+    seen = range(channel.SEEN_MASKS, channel.SEEN_MASKS + 2)
+    return channels[:, [*range(channel.FIRST_RGB, channel.SECOND_RGB + 3), *seen]]
 
 
 def fuse_with(

@@ -7,7 +7,7 @@ are the colours as they are, so that the fused picture can be compared with the 
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import forward_frame, swap_cameras_in_forward_frame
 from omnisyn_cli.training import data
@@ -50,31 +51,26 @@ class Triples(Batch):
         return torch.stack([self.sqrt_inv_depth, self.second_sqrt_inv_depth])
 
 
+Drawn = TypeVar("Drawn", bound=Batch)
+
+
 def swap_cameras(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
     """:func:`omnisyn_cli.geometry.sweep.swap_cameras_in_forward_frame` of tensors, by their last axis."""
     return x.roll(x.shape[-1] // 2, -1)
 
 
 def draw_pairs(
-    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
+    kind: type[Drawn], pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
     augmentation: Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
-) -> Batch:  # fmt: skip
-    """Random pairs of random walks; read from either end and mirrored at random.
+) -> Drawn:  # fmt: skip
+    """Random pairs of random walks, :class:`Triples` with the view between; from either end and mirrored at random.
 
-    The height of ``size`` (maybe square) divides the pool's, else InputError. Targets are clipped to
-    ``max_sqrt_inv_depth``.
+    The height of ``size`` (maybe square) divides the pool's, and a walk has two or three views, else InputError.
+    Targets are clipped to ``max_sqrt_inv_depth``.
     """
-    walks = (data.draw_walk(pool, rng, size[0]) for _ in range(batch))
-    return data.stacked([Batch(**_pair(walk, 2, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
-
-
-def draw_triples(
-    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
-    augmentation: Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
-) -> Triples:  # fmt: skip
-    """As :func:`draw_pairs`, with the view between; InputError as well if a walk has fewer than three views."""
-    walks = (data.draw_walk(pool, rng, size[0], 3) for _ in range(batch))
-    return data.stacked([Triples(**_pair(walk, 3, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
+    views = 3 if kind is Triples else 2
+    walks = (data.draw_walk(pool, rng, size[0], views) for _ in range(batch))
+    return data.stacked([kind(**_pair(walk, views, rng, size, augmentation, max_sqrt_inv_depth)) for walk in walks])
 
 
 def _pair(
@@ -87,8 +83,8 @@ def _pair(
     frame, _, baseline = forward_frame(first, last)
     colours, whole = images.astype(np.float32) / np.float32(255.0), (size[0], 2 * size[0])
     if augmentation is not None:
-        colours = _relight(colours, rng, augmentation)
-    shown = textures = np.stack([data.reduced(image, whole) for image in colours[[0, -1]]])
+        colours = data.relit(colours, rng, augmentation, (3,))
+    shown = textures = np.stack([resize_area(image, whole) for image in colours[[0, -1]]])
     if augmentation is not None:
         shown = data.vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
     depths = [
@@ -133,7 +129,7 @@ def turned_image(
     image: Float32[np.ndarray, "rows cols 3"], table: RemapTable, size: tuple[int, int]
 ) -> Float32[np.ndarray, "3 height width"]:
     """A panorama as a turned camera sees it, channels first: by cubic weights at its own size, then reduced."""
-    return data.reduced(np.clip(table.bicubic(image), 0.0, 1.0), size).transpose(2, 0, 1)
+    return resize_area(np.clip(table.bicubic(image), 0.0, 1.0), size).transpose(2, 0, 1)
 
 
 def turned_depth(
@@ -144,12 +140,3 @@ def turned_depth(
     source = np.ascontiguousarray(sqrt_inv_depth, np.float32)
     smooth, nearest = table.bilinear(source), table.nearest(source)
     return np.where(np.abs(smooth - nearest) <= MAX_SURFACE_STEP * nearest, smooth, nearest)
-
-
-def _relight(
-    views: Float32[np.ndarray, "views height width 3"], rng: np.random.Generator, augmentation: Augmentation
-) -> Float32[np.ndarray, "views height width 3"]:
-    """Another light, the same for all views."""
-    gain = (1 + augmentation.exposure * rng.uniform(-1, 1)) * (1 + augmentation.relative * rng.uniform(-1, 1, 3))
-    gamma = np.float32(1 + augmentation.gamma * rng.uniform(-1, 1))
-    return np.asarray(np.clip(views * gain.astype(np.float32), 1e-4, 1.0) ** gamma, np.float32)

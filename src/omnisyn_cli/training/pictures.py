@@ -40,15 +40,11 @@ def as_array(x: Float[Tensor, "*channels height width"]) -> Float32[np.ndarray, 
 
 def contact_sheet(pictures: dict[str, Float32[np.ndarray, "height width 3"]]) -> Float32[np.ndarray, "rows cols 3"]:
     """All pictures, of one size, two in a row, with black between them."""
-    listed = list(pictures.values())
-    height, width = listed[0].shape[:2]
-    row_step, col_step = height + SHEET_GAP_PIXELS, width + SHEET_GAP_PIXELS
-    rows = -(-len(listed) // 2)
-    sheet = np.zeros((rows * row_step - SHEET_GAP_PIXELS, 2 * col_step - SHEET_GAP_PIXELS, 3), np.float32)
-    for index, picture in enumerate(listed):
-        row, col = index // 2 * row_step, index % 2 * col_step
-        sheet[row : row + height, col : col + width] = picture
-    return sheet
+    gap = (0, SHEET_GAP_PIXELS)
+    shown = [np.pad(picture, (gap, gap, (0, 0))) for picture in pictures.values()]
+    shown += [np.zeros_like(shown[0])] * (len(shown) % 2)
+    rows = [np.concatenate(pair, axis=1) for pair in zip(shown[::2], shown[1::2], strict=True)]
+    return np.concatenate(rows)[:-SHEET_GAP_PIXELS, :-SHEET_GAP_PIXELS]
 
 
 def _colourize(share: np.ndarray, colours: int) -> Float32[np.ndarray, "height width 3"]:

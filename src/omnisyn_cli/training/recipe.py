@@ -21,10 +21,10 @@ from torch import Tensor
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.io.outputs import make_folder, write_errors
+from omnisyn_cli.networks.efficientnet import from_classifier
 from omnisyn_cli.training.checkpoint import compact, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import save_samples
-from omnisyn_cli.training.loop import CHECKPOINT, PROCESSOR, Trainer, run, state_of
-from omnisyn_cli.training.precision import Precision
+from omnisyn_cli.training.loop import CHECKPOINT, PROCESSOR, Precision, Trainer, run, state_of
 from omnisyn_cli.training.scene_makers import scene_path
 from omnisyn_cli.training.tasks import TASKS, TrainConfig
 from omnisyn_cli.training.walks import MESH, MeshSource, WalkConfig, make_walk
@@ -143,7 +143,7 @@ class RecipeTrainer(Trainer):
 
     def parameter_groups(self) -> list[dict[str, Any]]:
         """The pretrained encoder has a rate of its own."""
-        encoder = self.network.encoder_parameters()
+        encoder = list(self.network.encoder.parameters())
         slow = {id(parameter) for parameter in encoder}
         rest = [parameter for parameter in self.network.parameters() if id(parameter) not in slow]
         return [{"params": rest, "scale": 1.0}, {"params": encoder, "scale": self.recipe.encoder_rate}]
@@ -252,7 +252,7 @@ def train_recipe(
         with of_this_version(path):
             trainer.restore(state)
     elif encoder is not None:
-        trainer.network.load_encoder(encoder)
+        trainer.network.encoder.load_state_dict(from_classifier(encoder))
         trainer.begin_with({})
     on_start(trainer)
     run(trainer, folder, minutes, None, report)

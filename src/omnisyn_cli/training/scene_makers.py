@@ -40,6 +40,8 @@ class SceneConfig:
     pose_error_share: float = 0.3  # of scenes with pose errors
     pose_error_radians: float = 0.002  # standard deviation of these errors
     textures: str | None = None  # folder of photographs that become materials; None leaves all of them procedural
+    # deviations of pitch and roll to draw one of, radians, of photographs; each has a heading of its own
+    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
 
     def scene(self, seed: int, stops: int, kind: str | None = None) -> tuple[Scene, list[Pose]] | None:
         """A seed's scene, of its kind or ``kind``, and places on a straight way; None if there is no room for one."""
@@ -52,13 +54,6 @@ class SceneConfig:
     def pose_error(self, rng: np.random.Generator) -> float:
         """Standard deviation of the pose errors of a scene, radians."""
         return self.pose_error_radians if rng.random() < self.pose_error_share else 0.0
-
-
-@dataclass(frozen=True)
-class TiltedConfig(SceneConfig):
-    """Scenes that are photographed with cameras held nearly upright, with a heading of their own."""
-
-    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)  # deviations of pitch and roll to draw one of, radians
 
 
 @lru_cache(maxsize=1)
@@ -133,11 +128,9 @@ def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
 
 def walk_source(file: Path) -> SceneSource:
     """A walk as a scene: its views have their numbers as names, and lie in one file."""
-
-    def frames() -> list[SceneFrame]:
-        return [SceneFrame(str(k), file, view.pose) for k, view in enumerate(walk_views(load_walk(file)))]
-
-    return SceneSource(file.stem, frames)
+    return SceneSource(
+        file.stem, lambda: (SceneFrame(str(k), file, view.pose) for k, view in enumerate(walk_views(load_walk(file))))
+    )
 
 
 def pair_of_walk(pair: Pair) -> list[View]:

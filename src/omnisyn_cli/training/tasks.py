@@ -20,8 +20,8 @@ from omnisyn_cli.training import joint, losses, synsin
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
 from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
-from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
-from omnisyn_cli.training.pairs import draw_pairs, draw_triples
+from omnisyn_cli.training.guided_depth import draw_guided, guided_loss, guided_scores
+from omnisyn_cli.training.pairs import Batch, Triples, draw_pairs
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
 
@@ -101,14 +101,6 @@ class Task:
         means = dict(zip(scores[0], rows.nanmean(dim=0).tolist(), strict=True))
         return means | {HELD_OUT_LOSS: float(torch.tensor(losses).mean())}
 
-    @torch.no_grad()
-    def show(self, network: Any, stage: TrainConfig) -> dict[str, np.ndarray]:
-        """Pictures of the first of what networks are judged by; none where nobody looks."""
-        if self.pictures is None:
-            return {}
-        batch = next(self.validation(network, stage))
-        return self.pictures(self.answer_of(network, batch), batch)
-
 
 def on_device(batch: Any, device: torch.device) -> Any:
     """A batch on another device."""
@@ -125,16 +117,6 @@ def _depth_pictures(answer: DepthPrediction, batch: Any) -> dict[str, np.ndarray
     return depth_pictures(batch.first[0], answer.inverse_depth()[0, 0].sqrt(), batch.sqrt_inv_depth[0, 0])
 
 
-def _guided_pictures(answer: guided_depth.GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
-    """With the confidence from black to white."""
-    return _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
-
-
-def _completion_scores(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, float]:
-    filled = batch.channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1]
-    return losses.completion_scores(answer, filled, batch.sqrt_inv_depth, reliable_mask(batch.channels))
-
-
 def _completion_pictures(answer: completion.CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
     """The prediction, the reliable matches, and the map that was filled from these."""
     channels, truth = batch.channels[0], batch.sqrt_inv_depth[0, 0]
@@ -149,7 +131,7 @@ TASKS: Mapping[str, Task] = {
     "paper": Task(
         PaperConfig, PAPER_VARIANTS, PaperNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_pairs(
-            pool, rng, stage.batch, stage.size, varied, network.config.max_sqrt_inv_depth
+            Batch, pool, rng, stage.batch, stage.size, varied, network.config.max_sqrt_inv_depth
         ),
         loss=lambda answer, batch: losses.paper_loss(answer, batch.sqrt_inv_depth),
         scores=lambda answer, batch: losses.depth_scores(answer, batch.sqrt_inv_depth, batch.baseline),
@@ -161,7 +143,10 @@ TASKS: Mapping[str, Task] = {
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
         inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
-        loss=guided_loss, scores=guided_scores, pictures=_guided_pictures, role="guided-depth",
+        loss=guided_loss, scores=guided_scores, role="guided-depth",
+        pictures=lambda answer, batch: (
+            _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
+        ),
     ),
     "completion": Task(
         CompletionConfig, completion.COMPLETION_VARIANTS, completion.CompletionNetwork,
@@ -170,7 +155,8 @@ TASKS: Mapping[str, Task] = {
         ),
         inputs=lambda _, batch: (batch.channels,),
         loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
-        scores=_completion_scores, pictures=_completion_pictures, pool="evidence",
+        scores=lambda answer, batch: losses.completion_scores(answer, batch.channels, batch.sqrt_inv_depth),
+        pictures=_completion_pictures, pool="evidence",
     ),
     "fusion": Task(
         FusionConfig, FUSION_VARIANTS, build_fusion,
@@ -184,8 +170,8 @@ TASKS: Mapping[str, Task] = {
     ),
     "joint": Task(
         joint.JointConfig, {}, joint.JointNetwork,
-        draw=lambda pool, rng, stage, network, varied: draw_triples(
-            pool, rng, stage.batch, stage.size, varied, network.depth.config.max_sqrt_inv_depth
+        draw=lambda pool, rng, stage, network, varied: draw_pairs(
+            Triples, pool, rng, stage.batch, stage.size, varied, network.depth.config.max_sqrt_inv_depth
         ),
         answer=joint.joint_answer, loss=joint.joint_loss, scores=joint.joint_scores, pictures=joint.joint_pictures,
     ),

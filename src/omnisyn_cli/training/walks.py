@@ -14,13 +14,12 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.grouping import median_depth
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
-from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.scenes import GENERATORS, render_panorama
 from omnisyn_cli.scenes.mesh.places import find_walk
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
-from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting, render_mesh
-from omnisyn_cli.scenes.mesh.texturing import SurfaceColours, varied_mesh
+from omnisyn_cli.scenes.mesh.render import MeshScene, lit_scene, render_mesh
+from omnisyn_cli.scenes.mesh.texturing import varied_mesh
 from omnisyn_cli.training.data import Walk, save_samples
 from omnisyn_cli.training.pair_matching import match_views, views_to_match
 from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, photographs, scene_path, walk_of
@@ -29,6 +28,8 @@ MESH = "mesh"  # Kind of scene that is a mesh; the others are those of :data:`om
 ATTEMPTS = 12  # Seeds that are tried for a walk before the kind is given up
 LIGHT_RAYS = 16  # Directions that every point of a mesh asks for light
 MIN_MEAN_BRIGHTNESS = 0.06  # Mean of a picture below which a walk is dropped
+
+_read_mesh = lru_cache(maxsize=2)(read_mesh)
 
 
 @dataclass(frozen=True)
@@ -153,15 +154,14 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
     turn, position = divmod(seed, len(config.kinds))
     number = turn * config.kinds.count(MESH) + config.kinds[:position].count(MESH)
     path = paths[(number + attempt) % len(paths)]
-    mesh = _mesh(path, config.meshes.scale(path))
+    mesh = _read_mesh(path, config.meshes.scale(path))
     if not config.is_held_out:
         mesh = varied_mesh(mesh, rng, photographs(config.textures))
     caster = MeshCaster(mesh)
     poses = find_walk(caster, rng, config.views)
     if poses is None:
         return None
-    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, poses[0].position, LIGHT_RAYS))
-    walk = mesh_walk(scene.exposed_at(poses[0]), poses, config.size, config.supersample)
+    walk = mesh_walk(lit_scene(caster, rng, poses[0], LIGHT_RAYS), poses, config.size, config.supersample)
     is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * MIN_MEAN_BRIGHTNESS
     return None if is_dark else walk
 
@@ -179,8 +179,3 @@ def _walk(
     images, depths = zip(*views, strict=True)
     placed = [(pose.position - poses[0].position) @ rotation for pose in poses]
     return walk_of(images, [1.0 / np.maximum(depth, 1e-3) for depth in depths], placed, is_mesh=is_mesh)
-
-
-@lru_cache(maxsize=2)
-def _mesh(path: Path, scale: float) -> TexturedMesh:
-    return read_mesh(path, scale)

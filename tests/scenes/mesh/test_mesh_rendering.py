@@ -19,8 +19,8 @@ from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes.mesh.places import find_line, find_places
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
-from omnisyn_cli.scenes.mesh.render import MeshScene, draw_lighting, render_mesh
-from omnisyn_cli.scenes.mesh.texturing import SurfaceColours, papered_mesh, untextured_share, varied_mesh
+from omnisyn_cli.scenes.mesh.render import lit_scene, render_mesh
+from omnisyn_cli.scenes.mesh.texturing import papered_mesh, untextured_share, varied_mesh
 from omnisyn_cli.training.data import load_walk
 
 SIZE = np.array([6.0, 3.0, 8.0])  # Metres, of the box room, which stands on y = 0 around the origin.
@@ -97,8 +97,7 @@ TURNED = rotation_from_rotation_vector(np.array([0.3, -1.1, 0.2]))
 
 
 def lit(mesh, rays=24, seed=0):
-    caster = MeshCaster(mesh)
-    return MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, np.random.default_rng(seed), EYE, rays))
+    return lit_scene(MeshCaster(mesh), np.random.default_rng(seed), Pose(np.eye(3), EYE), rays)
 
 
 @pytest.mark.parametrize("rotation", [np.eye(3), TURNED], ids=["upright", "turned"])
@@ -136,7 +135,7 @@ def test_a_texture_lies_where_its_coordinates_say():
 
 def test_all_views_agree_about_the_colour_of_a_point():
     """Light and textures belong to the surface: what two cameras see of a point is the same."""
-    scene = lit(box_room()).exposed_at(Pose(np.eye(3), EYE))
+    scene = lit(box_room())
     points = np.array([[x, 0.0, z] for x in np.linspace(-2, 2, 9) for z in np.linspace(-3, 3, 9)])
     shown = []
     for position in (EYE, EYE + np.array([0.8, 0.1, 0.9])):
@@ -162,7 +161,7 @@ def test_holes_of_a_texture_let_rays_through():
 
 
 def test_supersampling_averages_and_leaves_depth_alone():
-    scene = lit(box_room()).exposed_at(Pose(np.eye(3), EYE))
+    scene = lit(box_room())
     coarse, one = render_mesh(scene, Pose(np.eye(3), EYE), (32, 64), supersample=1)
     fine, same = render_mesh(scene, Pose(np.eye(3), EYE), (32, 64), supersample=4)
     np.testing.assert_array_equal(one, same)
@@ -187,7 +186,7 @@ def test_places_stand_at_eye_height_and_lines_are_free():
     caster, rng = MeshCaster(joined(pillar, wall_ahead(1.0, pillar.materials[0]))), np.random.default_rng(3)
     places = find_places(caster, rng, 30)
     assert len(places) == 30
-    assert all(1.0 < place.position[1] < 2.0 for place in places)
+    assert all(1.0 < position[1] < 2.0 for position, _ in places)
     for _ in range(20):
         line = find_line(caster, places, rng, 4)
         assert line is not None

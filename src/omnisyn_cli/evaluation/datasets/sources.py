@@ -120,15 +120,15 @@ def in_tours(pairs: Sequence[Pair]) -> list[Pair]:
 
 
 def _from_file(path: Path) -> PairChooser:
-    wanted: dict[tuple[str, str, str], None] = {}
+    wanted: dict[tuple[str, ...], None] = {}
     for number, line in enumerate(read_text(path, "a text file with pairs", error=InputError).splitlines(), start=1):
         words = line.partition("#")[0].split()
-        if words and len(words) != 3:
+        if len(words) == 3:
+            wanted[tuple(words)] = None
+        elif words:
             raise InputError(
                 f"{path}: expected scene, first and second frame in line {number}, got {line!r}; correct it"
             )
-        if words:
-            wanted[words[0], words[1], words[2]] = None
 
     def choose(scene: Scene) -> list[Pair]:
         return [

@@ -50,17 +50,15 @@ class Lpips:
         distances = []
         for directions in cube_directions(height, width):
             faces = [_network_input(picture, directions) for picture in (image, truth)]
-            distances.append(float(np.mean(self._run(dict(zip(self._names, faces, strict=True))))))
+            try:
+                found = self._session.run(None, dict(zip(self._names, faces, strict=True)))
+            except Exception as error:
+                shape = faces[0].shape
+                raise InputError(
+                    f"{self._path}: expected a network for images {shape}, ONNX Runtime says: {error}"
+                ) from error
+            distances.append(float(np.mean(found[0])))
         return float(np.mean(distances))
-
-    def _run(self, faces: dict[str, np.ndarray]) -> np.ndarray:
-        try:
-            return np.asarray(self._session.run(None, faces)[0])
-        except Exception as error:
-            shape = next(iter(faces.values())).shape
-            raise InputError(
-                f"{self._path}: expected a network for images {shape}, ONNX Runtime says: {error}"
-            ) from error
 
 
 def cube_directions(height: int, width: int) -> Float[np.ndarray, "6 height width 3"]:

@@ -2,7 +2,7 @@
 
 A point that is seen in one frame is found in another by its inverse depth (1/m; 0 is infinitely far, negative or NaN
 unknown) and both poses, world-from-camera; nothing is estimated from the pictures, RGB in [0, 1]. Means are weighted by
-solid angle. ValueError for too few frames, sizes or numbers that differ, or neighbours with nothing in common.
+solid angle. ValueError: neighbours have nothing in common.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,6 @@ def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence
     interpolation count as errors. Source: Lai et al., Learning blind video temporal consistency, 2018, with geometry
     for optical flow and absolute differences.
     """
-    _check(frames, inverse_depths, poses, min_frames=2)
     errors = []
     for here in range(len(frames) - 1):
         warped, visible = _warp(here, here + 1, frames, inverse_depths, poses)
@@ -53,7 +52,6 @@ def flicker(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]
 
     A steady change is no flicker; a point that lights up for one frame by e counts 2·e. At least three frames.
     """
-    _check(frames, inverse_depths, poses, min_frames=3)
     errors = []
     for now in range(1, len(frames) - 1):
         before, visible_before = _warp(now, now - 1, frames, inverse_depths, poses)
@@ -83,17 +81,3 @@ def _mean(error: Float[np.ndarray, "height width 3"], visible: Bool[np.ndarray, 
     if not weights.any():
         raise ValueError("expected neighbouring frames with something in common, got none; take smaller steps")
     return float(np.average(error.mean(axis=-1), weights=weights))
-
-
-def _check(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose], min_frames: int) -> None:
-    if len(frames) < min_frames:
-        raise ValueError(f"expected at least {min_frames} frames, got {len(frames)}; take smaller steps")
-    if not len(frames) == len(inverse_depths) == len(poses):
-        counts = f"{len(frames)} frames, {len(inverse_depths)} inverse depths and {len(poses)} poses"
-        raise ValueError(f"expected one inverse depth and one pose for every frame, got {counts}")
-    size = frames[0].shape[:2]
-    for frame, rho in zip(frames, inverse_depths, strict=True):
-        if frame.shape != (*size, 3) or rho.shape != size:
-            raise ValueError(
-                f"expected frames and inverse depths of the size {size}, got {frame.shape} and {rho.shape}"
-            )

@@ -1,7 +1,6 @@
 """Where cameras stand in a mesh: at eye height above a floor, in free space, with something around them."""
 
 import math
-from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -25,17 +24,11 @@ LONGEST_WALK = 12.0  # Metres
 ATTEMPTS = 200  # Places that are drawn before a mesh is given up. Set by hand.
 PLACES = 40  # That a walk begins at one of
 
-
-@dataclass(frozen=True)
-class Place:
-    """A place for a camera, and the median distance of what is around it; metres."""
-
-    position: Float[np.ndarray, " 3"]
-    median: float
+Place = tuple[Float[np.ndarray, " 3"], float]  # For a camera, and the median distance of what is around it; metres
 
 
-def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place | None:
-    """What a camera there would see; None where none should stand."""
+def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> float | None:
+    """Median distance of what a camera there would see, metres; None where none should stand."""
     directions = sphere_directions(RAYS)
     hits = caster.hits(position[None], directions)
     found = hits.is_hit
@@ -48,7 +41,7 @@ def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place 
     behind = np.einsum("ij,ij->i", caster.normals[hits.face[found]], directions[found]) > 0
     if BETWEEN_SHELLS[0] < behind.mean() < BETWEEN_SHELLS[1]:
         return None
-    return Place(position, float(np.median(distances)))
+    return float(np.median(distances))
 
 
 def find_places(caster: MeshCaster, rng: np.random.Generator, count: int, attempts: int = 400) -> list[Place]:
@@ -61,7 +54,7 @@ def find_places(caster: MeshCaster, rng: np.random.Generator, count: int, attemp
     level = floor.is_hit & (np.abs(caster.normals[floor.face][:, 1]) > LEVEL)
     eyes = starts[level]
     eyes[:, 1] += rng.uniform(*EYE_HEIGHTS, level.sum()) - floor.distance[level]
-    found = (place for place in (look_around(caster, eye) for eye in eyes) if place is not None)
+    found = ((eye, median) for eye in eyes if (median := look_around(caster, eye)) is not None)
     return list(islice(found, count))
 
 
@@ -70,15 +63,15 @@ def find_line(
 ) -> list[Float[np.ndarray, " 3"]] | None:
     """A straight walk from a place: ends and some between, evenly by log length over median distance; or None."""
     for _ in range(ATTEMPTS if places else 0):
-        place = places[rng.integers(len(places))]
-        length = min(place.median * float(np.exp(rng.uniform(*np.log(BASELINES)))), LONGEST_WALK)
+        begin, median = places[rng.integers(len(places))]
+        length = min(median * float(np.exp(rng.uniform(*np.log(BASELINES)))), LONGEST_WALK)
         heading, rise = rng.uniform(0.0, 2.0 * math.pi), rng.normal(0.0, 0.05)
         step = np.array([math.cos(heading), rise, math.sin(heading)])
         step /= np.linalg.norm(step)
-        if caster.distances(place.position[None], step[None])[0] < length + CLEARANCE:
+        if caster.distances(begin[None], step[None])[0] < length + CLEARANCE:
             continue
         shares = np.array([0.0, *np.sort(rng.uniform(0.2, 0.8, max(0, frames - 2))), 1.0])[:frames]
-        line = [place.position + share * length * step for share in shares]
+        line = [begin + share * length * step for share in shares]
         if all(look_around(caster, position) is not None for position in line[1:]):
             return line
     return None

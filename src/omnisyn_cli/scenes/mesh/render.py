@@ -178,22 +178,12 @@ def render(
 
 @dataclass(frozen=True)
 class MeshScene:
-    """A textured mesh in its light; ``exposure`` is a factor on light, None chooses one for each picture."""
+    """A textured mesh in its light; ``exposure`` is a factor on light."""
 
     caster: MeshCaster
     colours: SurfaceColours
     lighting: Lighting
-    exposure: float | None = None
-
-    def exposed_at(self, pose: Pose) -> "MeshScene":
-        """The scene with the exposure that suits a camera, for all pictures of a walk."""
-        seen = self.caster.hits(pose.position[None], pixel_directions(32, 64).reshape(-1, 3) @ pose.rotation.T)
-        seen = seen.only(np.flatnonzero(seen.is_hit))
-        if not len(seen.face):
-            return replace(self, exposure=1.0)
-        shown = self.colours.at(seen, math.pi / 32) ** 2 * self.light(seen)
-        bright = float(np.percentile(shown.mean(axis=1), 60))
-        return replace(self, exposure=float(np.clip(MIDDLE_GREY / max(bright, 1e-3), *EXPOSURES)))
+    exposure: float = 1.0
 
     def light(self, hits: Hits) -> Float[np.ndarray, "hits 3"]:
         """What shines on points: baked light where there is some, else the lighting."""
@@ -218,17 +208,28 @@ class MeshScene:
             own = np.flatnonzero(~((apart < SAME_SURFACE * seen.distance) & (aligned > SAME_NORMAL)))  # and where NaN
             shared[own] = self.light(seen.only(own))
             colours = self.lighting.background(hits.directions)
-            colours[rays] = developed(self.colours.at(seen, pixel) ** 2 * shared, self.exposure or 1.0)
+            colours[rays] = developed(self.colours.at(seen, pixel) ** 2 * shared, self.exposure)
             return colours
 
         return shade
 
 
+def lit_scene(caster: MeshCaster, rng: np.random.Generator, pose: Pose, rays: int) -> MeshScene:
+    """A mesh in light that is drawn, with the exposure that suits a camera, for all pictures of a walk."""
+    scene = MeshScene(caster, SurfaceColours(caster), draw_lighting(caster, rng, pose.position, rays))
+    seen = caster.hits(pose.position[None], pixel_directions(32, 64).reshape(-1, 3) @ pose.rotation.T)
+    seen = seen.only(np.flatnonzero(seen.is_hit))
+    if not len(seen.face):
+        return scene
+    shown = scene.colours.at(seen, math.pi / 32) ** 2 * scene.light(seen)
+    bright = float(np.percentile(shown.mean(axis=1), 60))
+    return replace(scene, exposure=float(np.clip(MIDDLE_GREY / max(bright, 1e-3), *EXPOSURES)))
+
+
 def render_mesh(
     scene: MeshScene, pose: Pose, size: tuple[int, int], *, supersample: int = 2
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
-    """:func:`render` of a mesh, with the exposure that suits the pose where the scene has none."""
-    scene = scene if scene.exposure else scene.exposed_at(pose)
+    """:func:`render` of a mesh."""
     return render(scene.caster, scene.shader, pose, size, supersample)
 
 
