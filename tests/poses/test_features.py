@@ -189,6 +189,12 @@ def test_points_tell_the_lowest_level_that_has_none_below(floor: int, table: int
     assert (level and level[0]) == (height and pytest.approx(height, rel=0.01))
 
 
+def test_the_level_of_points_is_told_within_5_percent_or_not_at_all():
+    off = np.random.default_rng(7).normal(size=400)
+    assert level_of_points(1.6 * np.exp(0.02 * off)) == (pytest.approx(1.6, rel=0.01), pytest.approx(0.0135, rel=0.2))
+    assert level_of_points(1.6 * np.exp(0.042 * off)) is None
+
+
 def test_without_a_floor_there_is_no_height():
     assert floor_heights([(floor_view(0.0, has_floor=False), floor_view(1.0, has_floor=False))]) == []
     assert floor_heights([(floor_view(0.0), floor_view(0.0))]) == []

@@ -8,11 +8,11 @@ from registration_samples import street_image
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.remap import RemapTable
-from omnisyn_cli.geometry.sphere import FORWARD, UP, pixel_directions
+from omnisyn_cli.geometry.sphere import FORWARD, UP, normalize, pixel_directions
 from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
-from omnisyn_cli.poses.gravity import Gravity, gravity_of_picture
+from omnisyn_cli.poses.gravity import Gravity, gravity_of, gravity_of_picture
 from omnisyn_cli.poses.registration.scan import Vertical
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
@@ -41,6 +41,17 @@ def test_tilts_of_3_to_30_degrees_are_told_within_one(pictures):
         assert gravity.attitude == "upright", index
         off = math.degrees(math.acos(min(1.0, float(gravity.vertical.up @ up))))
         assert off < 1.0 or not gravity.vertical.is_certain, (index, off)
+
+
+@pytest.mark.parametrize(("crooked", "is_certain"), [(0.2, True), (1.4, False)])
+@pytest.mark.parametrize("seed", range(4))
+def test_crooked_edges_are_not_certain(crooked, is_certain, seed):
+    rng = np.random.default_rng(seed)
+    normals = normalize(np.cross(UP, rng.normal(size=(30, 3)))) + rng.normal(0.0, math.radians(crooked), (30, 3))
+    gravity = gravity_of(np.full((64, 128, 3), 0.5), 0.1 * np.asarray(normalize(normals)))
+    assert gravity.attitude == "upright"
+    assert gravity.tilt < 3.0 * gravity.vertical.std
+    assert gravity.vertical.is_certain is is_certain
 
 
 def test_most_pictures_that_are_not_upright_are_named_and_no_upright_one(pictures):

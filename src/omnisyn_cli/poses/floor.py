@@ -36,7 +36,7 @@ MIN_DEPRESSION_SINE, MIN_LEVEL_SHARE = 0.2, 0.15
 MIN_LEVEL_POINTS = 25  # Matched points that have to lie at the level of a floor where no plane is found
 # Relative spread of such points, and share of points below, up to which the level is a floor and no table. What lies
 # farther below than this factor is a reflection.
-MAX_LEVEL_SPREAD, MAX_SHARE_BELOW, REFLECTION_RATIO = 0.03, 0.1, 2.5
+MAX_LEVEL_SPREAD, MAX_SHARE_BELOW, REFLECTION_RATIO = 0.025, 0.1, 2.5
 # Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres.
 SAME_FLOOR_RATIO = 1.13
 

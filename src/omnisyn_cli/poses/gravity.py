@@ -7,7 +7,7 @@ rolled by 90°; of the 40 upright ones a dark corridor was taken for rolled.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -26,6 +26,8 @@ END_WEIGHTS = np.array([2.11, -1.09, 2.75])
 AXIS_WEIGHTS = np.array([-1.62, 9.49])
 # Logarithms of odds from which on a picture is called upside down, and rolled instead of upright.
 MIN_END_LOG_ODDS, MIN_AXIS_LOG_ODDS = 1.2, 1.5
+# Standard deviation up to which a zenith is certain: 2.5 of them are 1°. What light and texture tell never is.
+MAX_STD = math.radians(0.4)
 MIN_USABLE_SHARE = 0.75  # of the pixels; parts of the sphere lack the caps
 MAX_STEP, MIN_STEP, PLAIN_STEP = 0.2, 0.003, 0.004  # differences of neighbouring pixels, in [0, 1]
 LATITUDES = 16  # circles of equal width that contrast is measured between
@@ -61,7 +63,8 @@ def gravity_of(
     small: Float[np.ndarray, "rows cols 3"], lines: Lines, usable: Bool[np.ndarray, "height width"] | None = None
 ) -> Gravity:
     """How the camera of a small picture with these lines was held: upright unless there is evidence against it."""
-    verticals = [find_vertical(lines, axis) for axis in AXES]
+    found = [find_vertical(lines, axis) for axis in AXES]
+    verticals = [replace(each, is_certain=each.is_certain and each.std <= MAX_STD) for each in found]
     if usable is not None and usable.mean() < MIN_USABLE_SHARE:
         return Gravity(verticals[0], "upright")
     directions = pixel_directions(*small.shape[:2])
@@ -79,7 +82,8 @@ def gravity_of(
         best = 0
     up = verticals[best].up * (-1.0 if ends[best] < (0.0 if best else -MIN_END_LOG_ODDS) else 1.0)
     attitude = "rolled by 90°" if best else "upright" if up @ UP > 0 else "upside down"
-    return Gravity(Vertical(up, verticals[best].std, verticals[best].is_certain), attitude)
+    is_certain = verticals[best].is_certain and attitude == "upright"
+    return Gravity(Vertical(up, verticals[best].std, is_certain), attitude)
 
 
 def _axis_log_odds(maps: np.ndarray, along: np.ndarray, area: np.ndarray) -> float:

@@ -61,6 +61,7 @@ RIVAL_ANGLE = math.radians(6.0)  # Radians from the best direction beyond which 
 # that were wrong by more than 1° had 0.86 or more.
 MAX_RIVAL_SHARE = 0.8
 MIN_LINES = 8  # Lines that have to agree at least
+HALVES = 32  # Random ones of the lines that are fitted apart. How much they differ tells how well the zenith is known
 
 # Rotations of the six tangent images, which look along −z of their own.
 CAMERA_FROM_FACE = tuple(
@@ -128,7 +129,8 @@ def find_vertical(lines: Lines, near: Float[np.ndarray, " 3"] = UP) -> Vertical:
     length, normal = length[chosen], lines[chosen] / length[chosen, None]
     if len(normal) < MIN_LINES:
         return Vertical(near, math.inf, is_certain=False)
-    pairs = np.random.default_rng(0).choice(len(normal), (2, HYPOTHESES), p=length / length.sum())
+    rng = np.random.default_rng(0)
+    pairs = rng.choice(len(normal), (2, HYPOTHESES), p=length / length.sum())
     crossing = np.cross(normal[pairs[0]], normal[pairs[1]])
     sine = np.linalg.norm(crossing, axis=1)
     crossing = (crossing / np.maximum(sine, 1e-9)[:, None])[sine > math.sin(RIVAL_ANGLE)]
@@ -138,22 +140,23 @@ def find_vertical(lines: Lines, near: Float[np.ndarray, " 3"] = UP) -> Vertical:
     votes = np.einsum("nh,n->h", np.maximum(1.0 - off**2, 0.0), length)
     best = hypotheses[int(np.argmax(votes))]
     rival = votes[hypotheses @ best < math.cos(RIVAL_ANGLE)].max(initial=0.0)
-    up, std = _fitted(best, normal, length)
+    up = _fitted(best, normal, length)
+    halves = rng.random((HALVES, len(normal))) < 0.5
+    apart = [_fitted(up, normal[one], length[one]) - _fitted(up, normal[~one], length[~one]) for one in halves]
+    std = 0.5 * float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1))))
     count = int((np.abs(normal @ up) < FIT_WIDTH).sum())
     return Vertical(up, std, bool(rival <= MAX_RIVAL_SHARE * votes.max() and count >= MIN_LINES))
 
 
-def _fitted(up: np.ndarray, normal: np.ndarray, length: np.ndarray) -> tuple[Float[np.ndarray, " 3"], float]:
-    """The zenith by least squares, with the weights of Geman and McClure, and its standard deviation."""
+def _fitted(up: np.ndarray, normal: np.ndarray, length: np.ndarray) -> Float[np.ndarray, " 3"]:
+    """The zenith by least squares, with the weights of Geman and McClure."""
     width = math.sin(VOTE_WIDTH)
     for _ in range(FIT_ROUNDS):
         robust = 1.0 / (1.0 + (normal @ up / width) ** 2) ** 2
         axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", length * robust, normal, normal))[1]
         up = axes[:, 0] * math.copysign(1.0, float(axes[:, 0] @ up))
         width = max(0.8 * width, math.sin(FIT_WIDTH))
-    noise = math.sqrt(float(np.sum(robust * (normal @ up) ** 2) / np.sum(robust)))
-    information = np.einsum("n,ni,nj->ij", robust, normal, normal)
-    return up, noise / math.sqrt(max(float(np.linalg.eigvalsh(information)[1]), 1e-12))
+    return up
 
 
 # Agreeing matches, and their share, from which on no more are looked for. With fewer a pose is often off by a degree,
