@@ -176,7 +176,6 @@ def test_a_process_that_compiled_ends_before_it_measures(tmp_path, monkeypatch):
 
     monkeypatch.setattr(bench_settings, "measure_setting", measure)
     monkeypatch.setattr(bench_settings, "end_with_parent", lambda: None)
-    monkeypatch.setattr(bench_settings.signal, "signal", lambda *_: None)
     for frames, is_patient in ((1, False), (2, False), (2, True)):
         setting = Setting(FAST, (64, 128), 1)
         bench_settings._serve(SimpleNamespace(send=sent.append), BenchRun(setting, (), frames), tmp_path, is_patient)  # type: ignore[arg-type]

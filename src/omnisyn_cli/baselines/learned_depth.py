@@ -41,7 +41,8 @@ class LearnedDepthEstimator:
         for view in (first, second):
             view.check_shape()
         if at_same_position(first.pose, second.pose):
-            return self._nothing(), self._nothing()
+            nothing = np.zeros((4, self.size[0], 2 * self.size[0]), np.float32)
+            return DepthEstimate(*nothing[:2]), DepthEstimate(*nothing[2:])
         frame, _, baseline = forward_frame(first.pose, second.pose)
         images = [
             np.asarray(rotated_image(view.image, view.pose.rotation, frame.rotation, self.size), np.float32)
@@ -62,10 +63,6 @@ class LearnedDepthEstimator:
         names = [entry.name for entry in self.session.get_inputs()]
         images = [np.ascontiguousarray(image.transpose(2, 0, 1)[None]) for image in (first, second)]
         return run_depth_network(self.session, dict(zip(names, images, strict=True)), self.size)
-
-    def _nothing(self) -> DepthEstimate:
-        nothing = np.zeros((self.size[0], 2 * self.size[0]), np.float32)
-        return DepthEstimate(nothing, nothing.copy())
 
 
 def turned_estimate(view: View, frame: Pose, inverse_depth: np.ndarray, confidence: np.ndarray) -> DepthEstimate:

@@ -222,7 +222,6 @@ class LocalExecutor(Executor):
 
 def _serve(connection: Connection, work: Work) -> None:
     """Work through jobs until the connection closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     end_with_parent()
     worker = Worker(work)
     with suppress(EOFError, OSError):
@@ -231,7 +230,8 @@ def _serve(connection: Connection, work: Work) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process as soon as the one that started it ends."""
+    """End this process as soon as the one that started it ends, which alone heeds Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     parent = multiprocessing.parent_process()
 
     def exit_with_parent() -> None:

@@ -99,9 +99,10 @@ def make(
     photos = None if textures is None else pack_photos(read_photographs(textures))
     for number, folder in enumerate(folders, start=seed):
         scene = generate_scene(kind, number, photos)
-        upright = 1.0 if vertical else 0.0
         try:
-            path = sample_path(scene, number, frames, baseline=baseline, vertical=upright, tilt=math.radians(tilt))
+            path = sample_path(
+                scene, number, frames, baseline=baseline, vertical=float(vertical), tilt=math.radians(tilt)
+            )
         except ValueError as error:
             raise InputError(f"{kind} of seed {number}: {error}") from error
         make_folder(folder.parent, "scenes")

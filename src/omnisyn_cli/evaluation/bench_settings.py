@@ -5,7 +5,6 @@ Interrupted and started again with the same folder, a run goes on where it was.
 
 import json
 import platform
-import signal
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
@@ -196,7 +195,6 @@ def _serve(connection: Connection, run: BenchRun, folder: Path, is_patient: bool
         if compiled and not is_patient:
             raise _OnlyCompiledError
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     end_with_parent()
     try:
         with when_compiling(say):

@@ -89,9 +89,7 @@ def test_an_estimate_that_is_no_inverse_depth_is_refused(wrong):
         depth_metrics(estimate, truth, weighted=False)
 
 
-def test_nothing_to_score_and_other_sizes_are_refused():
-    with pytest.raises(ValueError, match="true depth between 1 m and 50 m"):
-        depth_metrics(np.ones((4, 8)), np.zeros((4, 8)), weighted=True)
+def test_other_sizes_are_refused():
     with pytest.raises(ValueError, match="one size"):
         depth_metrics(np.ones((4, 8)), np.ones((8, 16)), weighted=True)
 

@@ -46,14 +46,12 @@ def depth_metrics(
     by their solid angle instead of alike.
 
     Source: the table of depth prediction in OmniSyn, whose δ columns have these five thresholds.
-    ValueError: sizes differ, the estimate is negative or not finite where it is scored, or nothing is scored (ask
-    :func:`scored_pixels` first).
+    Something is scored (ask :func:`scored_pixels` first). ValueError: sizes differ, or the estimate is negative or not
+    finite there.
     """
     check_same_size(estimate, truth)
     scored = scored_pixels(truth)
     rho_p, rho_g = estimate[scored].astype(np.float64), truth[scored].astype(np.float64)
-    if rho_p.size == 0:
-        raise ValueError("expected a true depth between 1 m and 50 m somewhere, got none; this pair has none to score")
     if not (np.isfinite(rho_p).all() and rho_p.min() >= 0):
         raise ValueError("expected finite inverse depth of at least 0, got another value; 0 stands for infinitely far")
     weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape)[scored] if weighted else None
