@@ -20,6 +20,7 @@ from omnisyn_cli.fusion.photometry import (
     ExposureMatcher,
     cross_validated_curve,
     darken_to_match,
+    estimate_curve,
     rough_exposure_curve,
 )  # fmt: skip
 from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
@@ -69,8 +70,8 @@ def cross_check(
 ) -> CrossCheck:
     """Compare two views with each other through their inverse depths, 1/metre; ``cut`` separates surfaces."""
     crossed, small_views, renderers = _render_crosswise(views, depths, cut, threads)
-    # from all pixels of both photographs that the other view shows as well; wrong depth would make it up
-    curve = cross_validated_curve(_common_samples(crossed), min_gain=0.0)
+    # from all pixels of both photographs that the other view shows as well
+    curve = estimate_curve(*(np.concatenate(values) for values in zip(*_common_samples(crossed), strict=True)))
     match_exposure = ExposureMatcher(curve)
     matched = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)[::-1]
     half_way = match_exposure(*_render_half_way(small_views, renderers), 0.5)

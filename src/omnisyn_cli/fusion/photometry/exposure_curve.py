@@ -106,16 +106,12 @@ def estimate_curve(
 
 def cross_validated_curve(
     samples: Sequence[tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, "samples 3"], np.ndarray]],
-    min_gain: float = MIN_INLIER_GAIN,
 ) -> ExposureCurve:
-    """Of two halves of samples; zero unless each one's curve holds in the other: of wrong depth few agree.
-
-    The curve has to raise the share of inliers by ``min_gain``.
-    """
+    """Of two halves of samples; zero unless each one's curve holds in the other: of wrong depth few agree."""
     for half, other in (samples, samples[::-1]):
         inliers, without, by_chance = _inlier_shares(estimate_curve(*half), *other)
         excess = (inliers - by_chance) / max(1.0 - by_chance, 1e-9)
-        if excess < MIN_INLIER_EXCESS or inliers < without + min_gain:
+        if excess < MIN_INLIER_EXCESS or inliers < without + MIN_INLIER_GAIN:
             return ExposureCurve(np.zeros((3, len(KNOTS))))
     return estimate_curve(*(np.concatenate(values) for values in zip(*samples, strict=True)))
 
