@@ -10,17 +10,17 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_678, "interpolation": 5_331, "evaluation": 4_011, "scenes": 3_893, "io": 3_726, "stereo": 3_573,
-    "cli": 3_556, "render": 3_516, "training": 3_198, "fusion": 2_781, "synthesis": 2_275, "batch": 1_654,
-    "networks": 1_498, "baselines": 941, "geometry": 891, "pipeline": 633, "compute": 650, "(top)": 331,
-    "runtime": 578,
+    "poses": 6_690, "interpolation": 5_340, "evaluation": 3_970, "scenes": 3_880, "io": 3_730, "stereo": 3_580,
+    "cli": 3_510, "render": 3_520, "training": 3_130, "fusion": 2_790, "synthesis": 2_280, "batch": 1_640,
+    "networks": 1_490, "baselines": 930, "geometry": 900, "pipeline": 640, "compute": 650, "(top)": 340,
+    "runtime": 580,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 49_740
+MOST_LINES = 49_590
 """The sum. When rooms shrink, lower their budgets and it."""
 
-MOST_TEST_LINES, MOST_WORDS = 35_450, 28_400
+MOST_TEST_LINES, MOST_WORDS = 35_320, 28_400
 """Lines of the tests, and words of README, CHANGELOG, ``docs/`` and the models' cards."""
 
 SLACK = 150
