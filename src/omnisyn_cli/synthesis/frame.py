@@ -69,9 +69,9 @@ class FusedFrame:
 
 def fuse_frame(
     pair: PreparedPair, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
-    samples: FrameAllocator | None,
+    samples: UInt8[np.ndarray, "height width 3"] | None,
 ) -> FusedFrame:  # fmt: skip
-    """The frame of two renderings that were given one exposure."""
+    """The frame of two renderings that were given one exposure, rounded into ``samples`` if they are given."""
     is_judged = options.confidence or pair.cross_fade is not None
     confidence = np.empty(options.size, np.float32) if is_judged else None
     with clock("render"):
@@ -79,7 +79,7 @@ def fuse_frame(
         seen = [render(pose) for render, pose in zip(pair.renderers, target_from_sources, strict=True)]
     with clock("fuse"):
         first, second = ExposureMatcher(pair.cross_check.curve)(seen[0], seen[1], waypoint.t)
-        asked = {"out": None if samples is None else samples(), "confidence": confidence}
+        asked = {"out": samples, "confidence": confidence}
         if pair.is_soft and isinstance(fuser, GeometricFuser):
             fuser = partial(fuser.blend_by_rule, dissolves=True)
         image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})

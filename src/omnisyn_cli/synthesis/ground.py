@@ -256,7 +256,7 @@ def _best_patch(
     flat: Float32[np.ndarray, "rows cols 3"], box: tuple[slice, slice], hole: Bool[np.ndarray, "rows cols"],
     valid: Bool[np.ndarray, "rows cols"], ring: Bool[np.ndarray, "rows cols"],
 ) -> Float32[np.ndarray, "height width 3"] | None:  # fmt: skip
-    """What fits the ring around a hole best, of the box's size; all that fills the hole is valid. None: nothing is."""
+    """The patch of the box's size that fits the ring around a hole best and is valid inside; None if there is none."""
     if max(ring[box].shape) > len(flat) // 2 or np.count_nonzero(ring[box]) < MIN_RING_PIXELS:
         return None
     weight = np.repeat(ring[box].astype(np.float32)[..., None], 3, axis=2)

@@ -105,7 +105,8 @@ class SurfacePair:
         """See :class:`Pair`."""
         if self._last is not None and self._last.looks_the_same_from(waypoint):
             return self._last.again(waypoint, out)
-        self._last = fuse_frame(self.prepared, waypoint, self._fuser, self._options, self._clock, out)
+        samples = None if out is None else out()
+        self._last = fuse_frame(self.prepared, waypoint, self._fuser, self._options, self._clock, samples)
         return self._last.frame
 
     def frames(self, waypoints: Iterable[Waypoint], out: FrameAllocator | None = None) -> Iterator[Frame]:
@@ -125,8 +126,8 @@ class SurfacePair:
                 else:
                     if len(made) == len(makers):
                         yield self._taken(made)  # whose maker is the next in turn
-                    buffer = None if out is None else partial(lambda samples: samples, out())
-                    make = partial(fuse_frame, prepared, waypoint, fuser, self._options, clock, buffer)
+                    samples = None if out is None else out()
+                    make = partial(fuse_frame, prepared, waypoint, fuser, self._options, clock, samples)
                     made.append(pool.submit(copy_context().run, in_lane, lane, make))
                 t = waypoint.t
             while made:

@@ -137,4 +137,5 @@ def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, 
     whole = 2 * (renderer.pixel_bytes + held) + 1 + marked + frame + judged + pyramid
     made = frames_at_once(size, job.threads) if renderer.shades_on_demand and fusion.by_rules else 1
     waiting = 3 * largest_sample * (frames_in_queue(size) + 1 + made)
-    return fusion.network_bytes(pixels) + pixels * (made * whole + (made - 1) * WORKER_BYTES + waiting + planes)
+    kept = made + (made > 1 and job.ease == "smooth")  # where the camera is slow, frames are made one after the other
+    return fusion.network_bytes(pixels) + pixels * (kept * whole + (made - 1) * WORKER_BYTES + waiting + planes)
