@@ -89,7 +89,7 @@ def run_interpolation(
     remembers what it has read serves several videos. An estimator finds depth for this program's own method in place of
     the plan's; ``now`` is the clock of the summary's seconds.
 
-    Raises InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on;
+    Raises InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU for networks;
     EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
     job, clock = plan.job, Stopwatch(now)
