@@ -47,7 +47,7 @@ def test_colours_on_demand_are_those_of_the_whole_shader() -> None:
     draw, pose = renderer(samples(64, 128)), random_pose(60, 0.4)
     seen, shader = draw(pose), Shader(SIZE, 2)
     np.testing.assert_allclose(
-        seen.colour, shader(seen.inverse_depth, draw._confidence_map, draw._texture, pose), atol=1e-6
+        seen.colour, shader(seen.inverse_depth, draw.confidence_map, draw.texture, pose), atol=1e-6
     )
 
 
@@ -208,7 +208,7 @@ def test_samples_are_the_pixels_of_twice_the_size(cut: str, pose: Pose) -> None:
 
 def test_a_simplified_surface_has_the_samples_of_that_surface() -> None:
     one, two = renderers("whole", np.array([0.0, 0.0, -0.5]))
-    pose, two._quads = Pose(np.eye(3), np.array([0.0, 0.0, 0.2])), one._quads
+    pose, two.quads = Pose(np.eye(3), np.array([0.0, 0.0, 0.2])), one.quads
     seen, fine = one(pose), two(pose)
     edge_pixels = edge_pixels_of(np.ones(ODD_SIZE, bool), 3, 20)
     rho, _ = seen.edge_samples(edge_pixels)

@@ -119,6 +119,19 @@ def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, 
     return c * c if rule.dissolves else a, d * d if rule.dissolves else b
 
 
+@inlined(fastmath=True)
+def blend_shares(weights, rho_a, rho_b):
+    """Shares of two layers by their :func:`view_weights`, and the pixel's weight for holes around it."""
+    (a, b), zero, one, far_offset = weights, np.float32(0.0), np.float32(1.0), np.float32(FAR_WEIGHT_OFFSET)
+    total = a + b
+    smaller = min(a, b) / max(total, np.float32(1e-37))  # the larger share is 1 − smaller: exactly 1 if this is 0
+    share_a = smaller if a < b else one - smaller
+    share_b = one - smaller if a < b else smaller
+    # Far surfaces fill holes: the weight falls with inverse depth to the fourth power, see fusion/fill.py.
+    far = far_offset / (share_a * rho_a + share_b * rho_b + far_offset)
+    return share_a, share_b, far * far * far * far if total > zero else zero
+
+
 @fast_kernel()
 def blend_rows(first, second, rule, tables, quantization, out, seen, coarse_colour, coarse_weight):
     """Blend some rows of two layers, quantise them, and halve them for the pyramid that fills holes.
@@ -203,25 +216,19 @@ def _quantize_mean(upper, lower, at, share, quantization, pixel):
 @fast_subkernel()
 def _blend_run(first, second, rule, tables, mixed):
     """Blend flat pixels; ``mixed`` gets red, green, blue and fill weight, :data:`RUN_PIXELS` apart."""
-    zero, one, far_offset = np.float32(0.0), np.float32(1.0), np.float32(FAR_WEIGHT_OFFSET)
-    sine, y = tables.sin_p[0], tables.cos_p[0]
+    zero, sine, y = np.float32(0.0), tables.sin_p[0], tables.cos_p[0]
     a_colour, b_colour = first.colour, second.colour
     for col in range(len(first.inverse_depth)):
         x, z = sine * tables.sin_a[col], -sine * tables.cos_a[col]
         rho_a, rho_b = max(first.inverse_depth[col], zero), max(second.inverse_depth[col], zero)
-        a, b = view_weights(
+        weights = view_weights(
             a_colour[4 * col + 3], rho_a, first.offset, b_colour[4 * col + 3], rho_b, second.offset, x, y, z, rule
         )
-        total = a + b
-        smaller = min(a, b) / max(total, np.float32(1e-37))  # the larger share is 1 − smaller: exactly 1 if this is 0
-        share_a = smaller if a < b else one - smaller
-        share_b = one - smaller if a < b else smaller
-        # Far surfaces fill holes: the weight falls with inverse depth to the fourth power, see fusion/fill.py.
-        far = far_offset / (share_a * rho_a + share_b * rho_b + far_offset)
+        share_a, share_b, fill_weight = blend_shares(weights, rho_a, rho_b)
         mixed[col] = max(zero, share_a * a_colour[4 * col] + share_b * b_colour[4 * col])
         mixed[RUN_PIXELS + col] = max(zero, share_a * a_colour[4 * col + 1] + share_b * b_colour[4 * col + 1])
         mixed[2 * RUN_PIXELS + col] = max(zero, share_a * a_colour[4 * col + 2] + share_b * b_colour[4 * col + 2])
-        mixed[3 * RUN_PIXELS + col] = far * far * far * far if total > zero else zero
+        mixed[3 * RUN_PIXELS + col] = fill_weight
 
 
 @fast_subkernel()

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantization_for, quantize
 
@@ -64,26 +64,52 @@ class HoleFiller:
         run_ranges(lambda begin, end: kernel(*arguments, rows[begin:end]), len(rows), threads)
 
 
+@inlined(fastmath=True)
+def pull_pixel(colour, weight, coarse_colour, coarse_weight, row, col):
+    """Write one pixel of the coarse level."""
+    height, width = weight.shape
+    r = g = b = total = np.float32(0.0)
+    for i in range(2 * row, min(2 * row + 2, height)):
+        for j in range(2 * col, min(2 * col + 2, width)):
+            w = weight[i, j]
+            if w > 0.0:
+                r += w * colour[i, j, 0]
+                g += w * colour[i, j, 1]
+                b += w * colour[i, j, 2]
+                total += w
+    coarse_weight[row, col] = total
+    if total > 0.0:
+        coarse_colour[row, col, 0] = r / total
+        coarse_colour[row, col, 1] = g / total
+        coarse_colour[row, col, 2] = b / total
+
+
 @fast_kernel()
 def _pull_rows(colour, weight, coarse_colour, coarse_weight, rows):
     """Weighted means over 2×2 pixels, an odd last row or column alone; colours without weight (NaN) are not read."""
-    height, width = weight.shape
     for row in rows:
         for col in range(coarse_weight.shape[1]):
-            r = g = b = total = np.float32(0.0)
-            for i in range(2 * row, min(2 * row + 2, height)):
-                for j in range(2 * col, min(2 * col + 2, width)):
-                    w = weight[i, j]
-                    if w > 0.0:
-                        r += w * colour[i, j, 0]
-                        g += w * colour[i, j, 1]
-                        b += w * colour[i, j, 2]
-                        total += w
-            coarse_weight[row, col] = total
-            if total > 0.0:
-                coarse_colour[row, col, 0] = r / total
-                coarse_colour[row, col, 1] = g / total
-                coarse_colour[row, col, 2] = b / total
+            pull_pixel(colour, weight, coarse_colour, coarse_weight, row, col)
+
+
+@inlined(fastmath=True)
+def fill_pixel(coarse_colour, coarse_weight, colour, weight, keeps_weight, quantization, row, col):
+    """Fill one hole."""
+    coarse_height, coarse_width = coarse_weight.shape
+    i, j = row // 2, col // 2
+    i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
+    j2 = (j - 1 if col % 2 == 0 else j + 1) % coarse_width
+    # Bilinear: the centre of a fine pixel lies a quarter of a coarse pixel from the nearest coarse centre.
+    a, b = np.float32(0.5625) * coarse_weight[i, j], np.float32(0.1875) * coarse_weight[i, j2]
+    c, d = np.float32(0.1875) * coarse_weight[i2, j], np.float32(0.0625) * coarse_weight[i2, j2]
+    total = a + b + c + d
+    share = np.float32(1.0) / total if total > np.float32(0.0) else np.float32(0.0)
+    for k in range(3):
+        mixed = a * coarse_colour[i, j, k] + b * coarse_colour[i, j2, k]
+        mixed += c * coarse_colour[i2, j, k] + d * coarse_colour[i2, j2, k]
+        colour[row, col, k] = quantize(mixed * share, quantization)
+    if not keeps_weight:
+        weight[row, col] = np.float32(0.25) * total
 
 
 @fast_kernel()
@@ -92,24 +118,7 @@ def _fill_rows_from_coarser(coarse_colour, coarse_weight, colour, weight, keeps_
 
     Unless ``keeps_weight``, filled pixels get the mean weight of what they were filled from, for the next level.
     """
-    width = weight.shape[1]
-    coarse_height, coarse_width = coarse_weight.shape
     for row in rows:
-        i = row // 2
-        i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
-        for col in range(width):
-            if weight[row, col] > 0:
-                continue
-            j = col // 2
-            j2 = (j - 1 if col % 2 == 0 else j + 1) % coarse_width
-            # Bilinear: the centre of a fine pixel lies a quarter of a coarse pixel from the nearest coarse centre.
-            a, b = np.float32(0.5625) * coarse_weight[i, j], np.float32(0.1875) * coarse_weight[i, j2]
-            c, d = np.float32(0.1875) * coarse_weight[i2, j], np.float32(0.0625) * coarse_weight[i2, j2]
-            total = a + b + c + d
-            share = np.float32(1.0) / total if total > np.float32(0.0) else np.float32(0.0)
-            for k in range(3):
-                mixed = a * coarse_colour[i, j, k] + b * coarse_colour[i, j2, k]
-                mixed += c * coarse_colour[i2, j, k] + d * coarse_colour[i2, j2, k]
-                colour[row, col, k] = quantize(mixed * share, quantization)
-            if not keeps_weight:
-                weight[row, col] = np.float32(0.25) * total
+        for col in range(weight.shape[1]):
+            if not weight[row, col] > 0:
+                fill_pixel(coarse_colour, coarse_weight, colour, weight, keeps_weight, quantization, row, col)

@@ -30,22 +30,27 @@ class GeometricFuser:
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
         self.tiles, self.is_seen = LayerPairShader(size, threads), np.empty(size, np.uint8)
         self._tables = DirectionTables.of_target(size)
-        self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
+        self.ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
         self._picture: np.ndarray | None = None
+
+    @property
+    def supersamples(self) -> bool:
+        """Whether edges are."""
+        return self._supersampler is not None
 
     def twin(self, threads: int) -> "GeometricFuser":
         """One that makes the same frames in buffers of its own: for another thread."""
-        return GeometricFuser(self.size, threads, edges=self._supersampler is not None)
+        return GeometricFuser(self.size, threads, edges=self.supersamples)
 
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
         """The fused picture, without holes, never negative; see :class:`omnisyn_cli.types.Fuser`."""
         out, rule = self._output_buffer(out), BlendRule.at(t)
-        if self._ghosts.is_full_resolution:
+        if self.ghosts.is_full_resolution:
             first, second = self.tiles.with_cached_colours(first, second)
         layers = self._with_confidence(first, second, confidence)
-        suppression = None if have_same_position(first, second) else self._ghosts(first, second, rule)
+        suppression = None if have_same_position(first, second) else self.ghosts(first, second, rule)
         self.blend(layers.with_step(suppression), rule, out)
         return out
 

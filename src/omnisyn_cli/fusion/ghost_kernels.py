@@ -1,5 +1,7 @@
 """The pixel loops of ghost removal, in numba; twins of the array code in :mod:`omnisyn_cli.fusion.ghosts`."""
 
+import math
+
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
@@ -43,13 +45,13 @@ def suppress_rows(first, second, signed_strength, cell_size, top):
     """
     width = first.shape[1]
     for row in range(len(first)):
-        upper, lower, down = _neighbour_rows(signed_strength, cell_size, top + row)
+        upper, lower, down = neighbour_cell_rows(signed_strength, cell_size, top + row)
         for cell_col in range(-(-width // cell_size)):
             # Nearly all cells of nearly all frames: no interpolation where nothing is suppressed.
             if _is_unsuppressed(signed_strength, upper, lower, cell_col):
                 continue
             for col in range(cell_col * cell_size, min((cell_col + 1) * cell_size, width)):
-                strength = _interpolate(signed_strength, cell_size, upper, lower, down, col)
+                strength = interpolate_strength(signed_strength, cell_size, upper, lower, down, col)
                 _reduce_weight(first, second, row, col, strength)
 
 
@@ -57,31 +59,31 @@ def suppress_rows(first, second, signed_strength, cell_size, top):
 def suppress_edge_samples(first, second, signed_strength, cell_size, edge_pixels):
     """The same for the samples of edge pixels, ``(2, samples, 4)`` of either layer; one strength for each pixel."""
     for row in range(len(edge_pixels.tile_begins)):
-        upper, lower, down = _neighbour_rows(signed_strength, cell_size, edge_pixels.top + row)
+        upper, lower, down = neighbour_cell_rows(signed_strength, cell_size, edge_pixels.top + row)
         for at in range(edge_pixels.tile_begins[row, 0], edge_pixels.tile_begins[row, -1]):
             col = edge_pixels.cols[at]
             if col < 0 or _is_unsuppressed(signed_strength, upper, lower, col // cell_size):
                 continue
-            value = _interpolate(signed_strength, cell_size, upper, lower, down, col)
+            value = interpolate_strength(signed_strength, cell_size, upper, lower, down, col)
             for half in range(2):
                 _reduce_weight(first, second, half, 2 * at, value)
                 _reduce_weight(first, second, half, 2 * at + 1, value)
 
 
 @inlined()
-def _neighbour_rows(signed_strength, cell_size, row):
+def neighbour_cell_rows(signed_strength, cell_size, row):
     """The two rows of cells between whose centres a row lies, and its fraction of the way between them."""
     y = (np.float32(row) + np.float32(0.5)) / np.float32(cell_size) - np.float32(0.5)
-    i = int(np.floor(y))
+    i = int(math.floor(y))  # noqa: RUF046 - in CUDA kernels it is a float
     last = len(signed_strength) - 1
     return min(max(i, 0), last), min(max(i + 1, 0), last), y - np.float32(i)
 
 
 @inlined()
-def _interpolate(signed_strength, cell_size, upper, lower, down, col):
+def interpolate_strength(signed_strength, cell_size, upper, lower, down, col):
     """The strength at a column, bilinear between four cells; columns wrap."""
     x = (np.float32(col) + np.float32(0.5)) / np.float32(cell_size) - np.float32(0.5)
-    j, cols = int(np.floor(x)), signed_strength.shape[1]
+    j, cols = int(math.floor(x)), signed_strength.shape[1]  # noqa: RUF046
     across = x - np.float32(j)
     left, right = j % cols, (j + 1) % cols
     above = signed_strength[upper, left] + across * (signed_strength[upper, right] - signed_strength[upper, left])

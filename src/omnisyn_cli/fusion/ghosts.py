@@ -97,10 +97,10 @@ class GhostRemover:
         self.cell_size, step = ghost_cell_size(size), ghost_sample_step(size)
         self.is_full_resolution = step == 1
         self.samples_per_side = -(-self.cell_size // step)
-        self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell_size % step == 0) for count in size)
-        self.downsampled_size = len(self._rows), len(self._cols)
-        self._grid = (-(-size[0] // self.cell_size), -(-size[1] // self.cell_size))
-        self._directions = cell_directions(size, self._grid).astype(np.float32)
+        self.rows, self.cols = (np.flatnonzero(np.arange(count) % self.cell_size % step == 0) for count in size)
+        self.downsampled_size = len(self.rows), len(self.cols)
+        self.grid = (-(-size[0] // self.cell_size), -(-size[1] // self.cell_size))
+        self._directions = cell_directions(size, self.grid).astype(np.float32)
 
     def __call__(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
         """The suppression for two layers at full size that a rule blends; None without ghosts."""
@@ -112,11 +112,11 @@ class GhostRemover:
             return layer
         xp, rho = array_namespace(layer.inverse_depth), layer.inverse_depth
         if is_numpy_array(rho):
-            sampled = grid_subsample(rho, self._rows, self._cols)
+            sampled = grid_subsample(rho, self.rows, self.cols)
         else:
-            rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
+            rows, cols = (xp.asarray(index, device=device(rho)) for index in (self.rows, self.cols))
             sampled = xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
-        return Layer.from_arrays(sampled, layer.subsampled_colours(self._rows, self._cols), layer.target_from_source)
+        return Layer.from_arrays(sampled, layer.subsampled_colours(self.rows, self.cols), layer.target_from_source)
 
     def detect(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
         """The suppression, given both layers as :meth:`downsample` returns them; None without ghosts."""
@@ -132,15 +132,15 @@ class GhostRemover:
     @property
     def _light_radius(self) -> int:
         """Of the box filter that estimates the common difference; it has to fit into the grid."""
-        return min(ILLUMINATION_RADIUS, *(count // 2 - 1 for count in self._grid))
+        return min(ILLUMINATION_RADIUS, *(count // 2 - 1 for count in self.grid))
 
     def _cell_means(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
         """Means by cell of both layers, of what both see; how many pixels; what share the first sees more."""
         (a, a_rho), (b, b_rho) = ((layer.colour, layer.inverse_depth) for layer in (first, second))
         if is_numpy_array(a):
-            sums = np.empty((*self._grid, 13), np.float32)
+            sums = np.empty((*self.grid, 13), np.float32)
             accumulate = partial(accumulate_cells, a, a_rho, b, b_rho, self.samples_per_side, sums)
-            run_ranges(accumulate, self._grid[0], self.threads)
+            run_ranges(accumulate, self.grid[0], self.threads)
         else:
             sums = self._accumulate_arrays(a, a_rho, b, b_rho)
         xp, count = array_namespace(sums), sums[..., 0]
@@ -158,7 +158,7 @@ class GhostRemover:
 
     def _accumulate_arrays(self, first: Array, first_rho: Array, second: Array, second_rho: Array) -> Array:
         """:func:`omnisyn_cli.fusion.ghost_kernels.accumulate_cells` by arrays."""
-        xp, (rows, cols) = array_namespace(first), (count * self.samples_per_side for count in self._grid)
+        xp, (rows, cols) = array_namespace(first), (count * self.samples_per_side for count in self.grid)
         seen_a, seen_b = (colour[..., 3:] > float(MIN_VISIBLE_WEIGHT) for colour in (first, second))
         rhos = xp.clip(xp.stack([first_rho, second_rho], axis=-1), min=0.0)
         values = xp.concat([xp.ones_like(rhos[..., :1]), first, second, rhos], axis=-1)
@@ -168,7 +168,7 @@ class GhostRemover:
         padded = xp.zeros((rows, cols, values.shape[-1]), dtype=values.dtype, device=device(values))
         padded[: values.shape[0], : values.shape[1]] = values
         side = self.samples_per_side
-        return xp.sum(padded.reshape(self._grid[0], side, self._grid[1], side, -1), axis=(1, 3))
+        return xp.sum(padded.reshape(self.grid[0], side, self.grid[1], side, -1), axis=(1, 3))
 
     def _different_cells(self, first: LayerArrays, second: LayerArrays, count: Array) -> Bool[Array, "rows cols"]:
         """Cells that show different things: steps 1 to 3 of the module's list."""

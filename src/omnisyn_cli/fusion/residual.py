@@ -54,50 +54,71 @@ class ResidualFuser(GeometricFuser):
         edges: bool = True,
     ) -> None:  # fmt: skip
         super().__init__(size, threads, edges=edges)
-        self._network, self._rows = network, rows
+        self.network, self._rows = network, rows
         small = network_size(size, rows)
-        tiles = LayerPairShader(self._ghosts.downsampled_size, threads)
+        tiles = LayerPairShader(self.ghosts.downsampled_size, threads)
         self._inputs = None if small is None else InputBuilder(small, tiles)
 
     def twin(self, threads: int) -> "ResidualFuser":
         """See :meth:`GeometricFuser.twin`; both ask the same network."""
-        return ResidualFuser(self.size, self._network, self._rows, threads, edges=self._supersampler is not None)
+        return ResidualFuser(self.size, self.network, self._rows, threads, edges=self.supersamples)
 
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
         """See :class:`omnisyn_cli.types.Fuser`; InputError: the network does not take channels or answers otherwise."""
         rule = BlendRule.at(t)
-        if (
-            self._inputs is None
-            or rule.occlusion_strength < MIN_CORRECTION_STRENGTH
-            or have_same_position(first, second)
-        ):
+        if not self.is_corrected(rule) or have_same_position(first, second):
             return super().__call__(first, second, t, out, confidence)
-        if self._ghosts.is_full_resolution:
+        if self.ghosts.is_full_resolution:
             first, second = self.tiles.with_cached_colours(first, second)
-        small_first, small_second = self._ghosts.downsample(first), self._ghosts.downsample(second)
-        suppression, out = self._ghosts.detect(small_first, small_second, rule), self._output_buffer(out)
+        small_first, small_second = self.ghosts.downsample(first), self.ghosts.downsample(second)
+        suppression, out = self.ghosts.detect(small_first, small_second, rule), self._output_buffer(out)
         self.blend(self._with_confidence(first, second, confidence).with_step(suppression), rule, out)
-        small_step = None if suppression is None else replace(suppression, cell_size=self._ghosts.samples_per_side)
-        small_layers = LayerPair(small_first, small_second).with_step(small_step)
-        channels, candidates = self._inputs(small_layers, rule, _source_samplers(first, second))
-        if not needs_no_network(channels):
-            strength = np.full(channels.shape[1:], rule.occlusion_strength, np.float32)
-            if suppression is not None:
-                strength *= ghost_free_mask(suppression, strength.shape)
-            self.correct(channels, candidates, strength, out)
+        inputs = self.inputs((small_first, small_second), suppression, rule, source_samplers(first, second))
+        if inputs is not None:
+            self.correct(*inputs, out)
         return out
+
+    def is_corrected(self, rule: BlendRule) -> bool:
+        """Whether the network changes pictures there."""
+        return self._inputs is not None and rule.occlusion_strength >= MIN_CORRECTION_STRENGTH
+
+    def inputs(
+        self,
+        small: tuple[Layer, Layer],
+        suppression: GhostSuppression | None,
+        rule: BlendRule,
+        source_samplers: tuple[SourceSampler, SourceSampler],
+    ) -> (
+        tuple[Float32[np.ndarray, "channels height width"], WarpCandidates, Float32[np.ndarray, "height width"]] | None
+    ):
+        """Channels, candidates and strength of the correction, given both layers downsampled; None if none is needed.
+
+        ValueError: it changes nothing there, see :meth:`is_corrected`.
+        """
+        if self._inputs is None:
+            raise ValueError(
+                "expected frames that are large enough for the network, got others; ask is_corrected first"
+            )
+        step = None if suppression is None else replace(suppression, cell_size=self.ghosts.samples_per_side)
+        channels, candidates = self._inputs(LayerPair(*small).with_step(step), rule, source_samplers)
+        if needs_no_network(channels):
+            return None
+        strength = np.full(channels.shape[1:], rule.occlusion_strength, np.float32)
+        if suppression is not None:
+            strength *= ghost_free_mask(suppression, strength.shape)
+        return channels, candidates, strength
 
     def correct(
         self, channels: Float32[np.ndarray, "channels height width"], candidates: WarpCandidates,
         strength: Float32[np.ndarray, "height width"], picture: Picture,
     ) -> None:  # fmt: skip
         """Mix candidates into the picture of geometric fusion by the network's weights times ``strength`` in [0, 1]."""
-        candidates.mix_in(strength * self._network(channels), picture, self.threads)
+        candidates.mix_in(strength * self.network(channels), picture, self.threads)
 
 
-def _source_samplers(first: Layer, second: Layer) -> tuple[SourceSampler, SourceSampler]:
+def source_samplers(first: Layer, second: Layer) -> tuple[SourceSampler, SourceSampler]:
     """Those of both layers."""
     if first.source_sampler is None or second.source_sampler is None:
         raise ValueError("expected layers with a source sampler, got others; use the geometric fusion")

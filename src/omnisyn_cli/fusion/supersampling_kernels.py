@@ -31,7 +31,7 @@ def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, 
             if not _is_any(marks[row], left, right):
                 continue
             for col in range(left, right):
-                if marks[row, col] and not _has_contrast(picture, scale, min_contrast, above, below, col):
+                if marks[row, col] and not has_contrast(picture, scale, min_contrast, above, below, col):
                     marks[row, col] = 0
 
 
@@ -42,13 +42,13 @@ def _mark_depth_edges(above, rho, below, marks, mark):
     # The seam is a loop of its own, so that LLVM vectorises the inner columns.
     for col in range(1, last):
         here = rho[col]
-        is_edge = _is_other_surface(here, rho[col - 1]) | _is_other_surface(here, rho[col + 1])
-        is_edge |= _is_other_surface(here, above[col]) | _is_other_surface(here, below[col])
+        is_edge = is_other_surface(here, rho[col - 1]) | is_other_surface(here, rho[col + 1])
+        is_edge |= is_other_surface(here, above[col]) | is_other_surface(here, below[col])
         marks[col] |= mark if is_edge else np.uint8(0)
     for col in (0, last):
         here = rho[col]
-        is_edge = _is_other_surface(here, rho[col - 1]) | _is_other_surface(here, rho[0 if col == last else col + 1])
-        is_edge |= _is_other_surface(here, above[col]) | _is_other_surface(here, below[col])
+        is_edge = is_other_surface(here, rho[col - 1]) | is_other_surface(here, rho[0 if col == last else col + 1])
+        is_edge |= is_other_surface(here, above[col]) | is_other_surface(here, below[col])
         marks[col] |= mark if is_edge else np.uint8(0)
 
 
@@ -61,14 +61,14 @@ def _is_any(marks, begin, end):
 
 
 @inlined(fastmath=True)
-def _is_other_surface(one, other):
+def is_other_surface(one, other):
     """:func:`omnisyn_cli.fusion.pixel_classes.is_other_surface` of two pixels; unseen ones count as infinitely far."""
     a, b = max(one, np.float32(0.0)), max(other, np.float32(0.0))
     return abs(a - b) > np.float32(SAME_SURFACE_TOLERANCE) * max(max(a, b), np.float32(MIN_INVERSE_DEPTH))
 
 
 @inlined(fastmath=True)
-def _has_contrast(picture, scale, min_contrast, above, below, col):
+def has_contrast(picture, scale, min_contrast, above, below, col):
     """Whether some channel varies enough over 3x3 pixels; rows end, columns wrap."""
     last = picture.shape[1] - 1
     left, right = col - 1 if col > 0 else last, col + 1 if col < last else 0

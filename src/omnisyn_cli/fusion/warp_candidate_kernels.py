@@ -33,7 +33,7 @@ def _pixels_between_columns(j, width, cols):
 
 
 @inlined(fastmath=True)
-def _interpolate_down_columns(values, row, j, height):
+def interpolate_down_columns(values, row, j, height):
     """Values of a coarse map in a row of the frame, at coarse columns ``j`` and ``j + 1``; columns wrap."""
     rows, cols = values.shape
     i, down = coarse_position(row, height, rows)
@@ -55,7 +55,7 @@ def hypothesis_rows(hypothesis, weight, top, height, points):
         i = (top + k) * rows // height
         for j in range(-1, weight.shape[1]):
             begin, end = _pixels_between_columns(j, width, weight.shape[1])
-            left, right = _interpolate_down_columns(weight, top + k, j, height)
+            left, right = interpolate_down_columns(weight, top + k, j, height)
             if max(left, right) > zero:
                 is_any = True
                 for col in range(begin, end):
@@ -72,7 +72,7 @@ def accumulate_candidate(weight, colour, top, height, total):
     step = np.float32(cols / width)
     for k in range(len(total)):
         for j in range(-1, cols):
-            left, right = _interpolate_down_columns(weight, top + k, j, height)
+            left, right = interpolate_down_columns(weight, top + k, j, height)
             if max(left, right) <= np.float32(0.0):
                 continue
             begin, end = _pixels_between_columns(j, width, cols)

@@ -71,7 +71,7 @@ class WarpCandidates:
         the rest.
         """
         height, quantization = len(picture), quantization_for(picture)
-        weights = weights * np.clip(weights / MIN_CANDIDATE_WEIGHT - np.float32(1.0), 0.0, 1.0)
+        weights = sampled_weights(weights)
         max_of_row = weights.max(axis=(0, 2))
 
         def mix(begin: int, end: int) -> None:
@@ -101,6 +101,11 @@ class WarpCandidates:
                 sampler.sample_rows(points, top, colour)
                 kernels.accumulate_candidate(weight, colour, top, height, total)
         kernels.mix_rows(total, quantization, rows)
+
+
+def sampled_weights(weights: Float32[np.ndarray, "4 height width"]) -> Float32[np.ndarray, "4 height width"]:
+    """Weights of candidates without the small ones, which are not sampled."""
+    return weights * np.clip(weights / MIN_CANDIDATE_WEIGHT - np.float32(1.0), 0.0, 1.0)
 
 
 def make_warp_candidates(

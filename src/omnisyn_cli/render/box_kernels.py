@@ -92,12 +92,12 @@ def _row_range(low, high, span, height, width):
     north = low - margin if low > middle else np.float32(-1.0)
     south = high + margin if high < middle else height
     first, last = north if is_wide else low - bulge, south if is_wide else high + bulge
-    return max(np.ceil(first), np.float32(0.0)), min(np.floor(last), height - np.float32(1.0)), is_wide
+    return first, last, is_wide
 
 
 @inlined()
-def _quad_box(rows, cols, height, width):
-    """First and last row, leftmost and rightmost column (not rounded), and whether the quad is wide."""
+def quad_box(rows, cols, height, width):
+    """First and last row, leftmost and rightmost column, none of them rounded, and whether the quad is wide."""
     zero, (row0, row1, row2, row3), (col0, col1, col2, col3) = np.float32(0.0), rows, cols
     turn1, turn2, turn3 = _wrapped(col1 - col0, width), _wrapped(col2 - col0, width), _wrapped(col3 - col0, width)
     left, right = min(min(turn1, zero), min(turn2, turn3)), max(max(turn1, zero), max(turn2, turn3))
@@ -116,10 +116,11 @@ def _find_boxes_without_gaps(block, corners, height, width):
     col0, col1, col2, col3 = cols[at0:], cols[at1:], cols[at2:], cols[at3:]
     first_row, last_row, first_col, last_col = block[FIRST_ROW], block[LAST_ROW], block[FIRST_COL], block[LAST_COL]
     for k in range(BLOCK):
-        first, last, left, right, is_wide = _quad_box(
+        first, last, left, right, is_wide = quad_box(
             (row0[k], row1[k], row2[k], row3[k]), (col0[k], col1[k], col2[k], col3[k]), height32, width32
         )
-        first_row[k], last_row[k] = first, last
+        first_row[k] = max(np.ceil(first), zero)
+        last_row[k] = min(np.floor(last), height32 - np.float32(1.0))
         first_col[k] = zero if is_wide else np.ceil(left - margin)
         last_col[k] = width32 - np.float32(1.0) if is_wide else np.floor(right + margin)
 
@@ -162,17 +163,17 @@ def tighten_wide_box(block, corners, k, gap, height, width):
 
 
 @kernel()
-def _widen(block, corners, k, gap, sin_p, height, width):
+def widen_box(block, corners, k, gap, sin_p, height, width):
     """Widen a box by the gap of its quad: an angle is more columns near a pole."""
     nearest = np.float32(1e30)
     for corner in corners:
         nearest = min(nearest, _corner(block, corner + k)[3])
     angle = gap / (np.float32(MIN_EDGE_DISTANCE_RATIO) * nearest)
-    rows = np.ceil(min(angle * np.float32(height / math.pi), np.float32(height)))
+    rows = np.float32(math.ceil(min(angle * np.float32(height / math.pi), np.float32(height))))
     first = max(block[FIRST_ROW, k] - rows, np.float32(0.0))
     last = min(block[LAST_ROW, k] + rows, np.float32(height - 1))
     narrowest = min(sin_p[np.int64(first)], sin_p[np.int64(last)])
-    cols = np.ceil(min(angle / narrowest * np.float32(width / (2.0 * math.pi)), np.float32(width)))
+    cols = np.float32(math.ceil(min(angle / narrowest * np.float32(width / (2.0 * math.pi)), np.float32(width))))
     left, right = block[FIRST_COL, k] - cols, block[LAST_COL, k] + cols
     if right - left >= np.float32(width - 1):
         left, right = np.float32(0.0), np.float32(width - 1)
@@ -188,4 +189,4 @@ def find_quad_boxes(block, quads, sin_p, height, width):
     _find_boxes_without_gaps(block, quads.corners, height, width)
     for k in range(len(quads.gaps)):
         if quads.gaps[k] > 0.0 and block[FIRST_ROW, k] <= block[LAST_ROW, k]:
-            _widen(block, quads.corners, k, quads.gaps[k], sin_p, height, width)
+            widen_box(block, quads.corners, k, quads.gaps[k], sin_p, height, width)

@@ -38,46 +38,52 @@ def _range_of(a, b, c, d):
     return min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
 
 
-@subkernel()
-def _find_boxes(block, quads, view, height, width):
-    """Boxes of the quads of a block with placed points, empty where nothing of a quad can be seen.
+@inlined()
+def perspective_box(block, corners, k, gap, view, height, width):
+    """First and last row, first and last column of the box of a placed quad, empty where nothing of it can be seen.
 
     ``view``: pixels of a step sideways at distance 1, and half of the height and of the width there.
     """
-    focal, down, across = view
-    at0, at1, at2, at3 = quads.corners
+    (focal, down, across), (at0, at1, at2, at3) = view, corners
     xs, ys, zs = block[X], block[Y], block[Z]
     zero, margin = np.float32(0.0), np.float32(BOX_MARGIN_PIXELS)
+    last_row, last_col = np.float32(height - 1), np.float32(width - 1)
+    x0, x1, x2, x3 = xs[at0 + k], xs[at1 + k], xs[at2 + k], xs[at3 + k]
+    y0, y1, y2, y3 = ys[at0 + k], ys[at1 + k], ys[at2 + k], ys[at3 + k]
+    d0, d1, d2, d3 = -zs[at0 + k], -zs[at1 + k], -zs[at2 + k], -zs[at3 + k]
+    slack = gap * (np.float32(1.0) + across) / np.float32(MIN_EDGE_DISTANCE_RATIO)
+    right = min(min(x0 - across * d0, x1 - across * d1), min(x2 - across * d2, x3 - across * d3))
+    left = min(min(-x0 - across * d0, -x1 - across * d1), min(-x2 - across * d2, -x3 - across * d3))
+    above = min(min(y0 - down * d0, y1 - down * d1), min(y2 - down * d2, y3 - down * d3))
+    below = min(min(-y0 - down * d0, -y1 - down * d1), min(-y2 - down * d2, -y3 - down * d3))
+    nearest, farthest = _range_of(d0, d1, d2, d3)
+    if max(max(right, left), max(above, below)) > slack or farthest < -slack:
+        return np.float32(height), np.float32(-1.0), np.float32(width), np.float32(-1.0)
+    length = math.sqrt(max(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1), max(x2 * x2 + y2 * y2, x3 * x3 + y3 * y3)))
+    if nearest <= np.float32(MIN_PROJECTED_SHARE) * (length + farthest):
+        return zero, last_row, zero, last_col
+    x_low, x_high = _range_of(x0 / d0, x1 / d1, x2 / d2, x3 / d3)
+    y_low, y_high = _range_of(y0 / d0, y1 / d1, y2 / d2, y3 / d3)
+    slope = max(max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high)))
+    reach = focal * gap / (np.float32(MIN_EDGE_DISTANCE_RATIO) * nearest) * (np.float32(1.0) + slope * slope)
+    reach = min(reach + margin, np.float32(width))
+    middle_row, middle_col = np.float32(0.5 * (height - 1)), np.float32(0.5 * (width - 1))
+    return (
+        max(np.float32(math.ceil(middle_row - focal * y_high - reach)), zero),
+        min(np.float32(math.floor(middle_row - focal * y_low + reach)), last_row),
+        max(np.float32(math.ceil(middle_col + focal * x_low - reach)), zero),
+        min(np.float32(math.floor(middle_col + focal * x_high + reach)), last_col),
+    )
+
+
+@subkernel()
+def _find_boxes(block, quads, view, height, width):
+    """Boxes of the quads of a block with placed points, see :func:`perspective_box`."""
     for k in range(BLOCK):
-        x0, x1, x2, x3 = xs[at0 + k], xs[at1 + k], xs[at2 + k], xs[at3 + k]
-        y0, y1, y2, y3 = ys[at0 + k], ys[at1 + k], ys[at2 + k], ys[at3 + k]
-        d0, d1, d2, d3 = -zs[at0 + k], -zs[at1 + k], -zs[at2 + k], -zs[at3 + k]
-        gap = quads.gaps[k] if len(quads.gaps) > 0 else zero
-        slack = gap * (np.float32(1.0) + across) / np.float32(MIN_EDGE_DISTANCE_RATIO)
-        right = min(min(x0 - across * d0, x1 - across * d1), min(x2 - across * d2, x3 - across * d3))
-        left = min(min(-x0 - across * d0, -x1 - across * d1), min(-x2 - across * d2, -x3 - across * d3))
-        above = min(min(y0 - down * d0, y1 - down * d1), min(y2 - down * d2, y3 - down * d3))
-        below = min(min(-y0 - down * d0, -y1 - down * d1), min(-y2 - down * d2, -y3 - down * d3))
-        nearest, farthest = _range_of(d0, d1, d2, d3)
-        block[FIRST_ROW, k], block[LAST_ROW, k] = np.float32(height), np.float32(-1.0)
-        block[FIRST_COL, k], block[LAST_COL, k] = np.float32(width), np.float32(-1.0)
-        if max(max(right, left), max(above, below)) > slack or farthest < -slack:
-            continue
-        length = math.sqrt(max(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1), max(x2 * x2 + y2 * y2, x3 * x3 + y3 * y3)))
-        if nearest <= np.float32(MIN_PROJECTED_SHARE) * (length + farthest):
-            block[FIRST_ROW, k], block[LAST_ROW, k] = zero, np.float32(height - 1)
-            block[FIRST_COL, k], block[LAST_COL, k] = zero, np.float32(width - 1)
-            continue
-        x_low, x_high = _range_of(x0 / d0, x1 / d1, x2 / d2, x3 / d3)
-        y_low, y_high = _range_of(y0 / d0, y1 / d1, y2 / d2, y3 / d3)
-        slope = max(max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high)))
-        reach = focal * gap / (np.float32(MIN_EDGE_DISTANCE_RATIO) * nearest) * (np.float32(1.0) + slope * slope)
-        reach = min(reach + margin, np.float32(width))
-        middle_row, middle_col = np.float32(0.5 * (height - 1)), np.float32(0.5 * (width - 1))
-        block[FIRST_ROW, k] = max(np.ceil(middle_row - focal * y_high - reach), zero)
-        block[LAST_ROW, k] = min(np.floor(middle_row - focal * y_low + reach), np.float32(height - 1))
-        block[FIRST_COL, k] = max(np.ceil(middle_col + focal * x_low - reach), zero)
-        block[LAST_COL, k] = min(np.floor(middle_col + focal * x_high + reach), np.float32(width - 1))
+        gap = quads.gaps[k] if len(quads.gaps) > 0 else np.float32(0.0)
+        first_row, last_row, first_col, last_col = perspective_box(block, quads.corners, k, gap, view, height, width)
+        block[FIRST_ROW, k], block[LAST_ROW, k] = first_row, last_row
+        block[FIRST_COL, k], block[LAST_COL, k] = first_col, last_col
 
 
 @kernel()

@@ -25,7 +25,7 @@ from omnisyn_cli.render.quad_blocks import QuadBlocks
 from omnisyn_cli.render.raster_kernels import NO_FACE, find_block_bounds, rasterize_blocks
 from omnisyn_cli.types import EdgePixels
 
-__all__ = ["NO_FACE", "Fragments", "PerspectiveRasterizer", "rasterize"]
+__all__ = ["NO_FACE", "Fragments", "PerspectiveRasterizer", "rasterize", "rows_of", "target_of", "view_of"]
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class Rasterizer:
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
         self._inverse_depth = np.empty(size, np.float32)
-        self._target = _target(size, self._inverse_depth)
+        self._target = target_of(size, self._inverse_depth)
         self._boxes = np.empty((0, 4), np.int32)
 
     @cached_property
     def _double_target(self) -> Target:
         """The target of twice the size, whose pixels are the samples of edge pixels."""
-        return _target((2 * self.size[0], 2 * self.size[1]), np.empty(0, np.float32))
+        return target_of((2 * self.size[0], 2 * self.size[1]), np.empty(0, np.float32))
 
     def __call__(
         self, quads: QuadBlocks, target_from_source: Pose, face: Int32[np.ndarray, " pixels"] | None = None
@@ -64,7 +64,7 @@ class Rasterizer:
         ``face``, if given, is written row after row: twice the index in ``quads`` of what is seen, plus one for the
         second triangle of a quad. It takes more time.
         """
-        pose, boxes = _rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
+        pose, boxes = rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
         if self.threads != 1:  # one thread draws all rows at once, and needs no culling by rows
             run_ranges(partial(find_block_bounds, quads, pose, self._target, boxes), len(boxes), self.threads)
         run_ranges(partial(rasterize_blocks, quads, boxes, pose, self._target, face), self.size[0], self.threads)
@@ -78,7 +78,7 @@ class Rasterizer:
 
         Quads and pose are those of the last call, whose block bounds are used.
         """
-        out, pose = edge_pixels.inverse_depth.copy(), _rows_of(target_from_source)
+        out, pose = edge_pixels.inverse_depth.copy(), rows_of(target_from_source)
         rasterize_edge_pixels(quads, self._boxes, pose, self._double_target, edge_pixels, out.reshape(-1))
         return out
 
@@ -89,21 +89,22 @@ class PerspectiveRasterizer:
     def __init__(self, size: PerspectiveSize, threads: int | None = None) -> None:
         self.size, self.threads = size, threads
         self._inverse_depth = np.empty(size, np.float32)
-        self._target = _target(size, self._inverse_depth)
-        self._view = tuple(map(np.float32, (size.focal, *size.half_extent)))
+        self._target = target_of(size, self._inverse_depth)
+        self._view = view_of(size)
 
     def __call__(
         self, quads: QuadBlocks, target_from_source: Pose, face: Int32[np.ndarray, " pixels"] | None = None
     ) -> Float32[np.ndarray, "height width"]:
         """Inverse distance along the axis; see :meth:`Rasterizer.__call__`."""
-        pose, rows, view = _rows_of(target_from_source), np.empty((len(quads.codes), 2), np.int32), self._view
+        pose, rows, view = rows_of(target_from_source), np.empty((len(quads.codes), 2), np.int32), self._view
         run_ranges(partial(find_rows_of_blocks, quads, pose, self._target, view, rows), len(rows), self.threads)
         draw = partial(rasterize_perspective, quads, rows, pose, self._target, view, face)
         run_ranges(draw, self.size[0], self.threads)
         return self._inverse_depth
 
 
-def _target(size: tuple[int, int], inverse_depth: Float32[np.ndarray, "*size"]) -> Target:
+def target_of(size: tuple[int, int], inverse_depth: Float32[np.ndarray, "*size"]) -> Target:
+    """A target of a size, as kernels take it."""
     sin_p, cos_p, sin_a, cos_a = target_tables(size)
     rows, cols = np.stack([sin_p, cos_p]), np.stack([sin_a, -cos_a])
     row_scale, row_zero, col_scale, col_zero = map(np.float32, pixel_scale(size))
@@ -113,7 +114,12 @@ def _target(size: tuple[int, int], inverse_depth: Float32[np.ndarray, "*size"]) 
     )  # fmt: skip
 
 
-def _rows_of(pose: Pose) -> tuple[tuple[np.float32, ...], ...]:
+def view_of(size: PerspectiveSize) -> tuple[np.float32, ...]:
+    """A perspective view as kernels take it: its focal length in pixels, half of its height and width at distance 1."""
+    return tuple(map(np.float32, (size.focal, *size.half_extent)))
+
+
+def rows_of(pose: Pose) -> tuple[tuple[np.float32, ...], ...]:
     """Three rows of a rotation with the shift behind them, as kernels take it."""
     return tuple(tuple(map(np.float32, (*row, shift))) for row, shift in zip(pose.rotation, pose.position, strict=True))
 

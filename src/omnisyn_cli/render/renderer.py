@@ -72,27 +72,27 @@ class MeshRenderer:
 
     def __init__(self, inputs: RendererInputs) -> None:
         mesh, size, threads = inputs.mesh(), inputs.size, inputs.threads
-        self._texture, self._shader = make_texture(inputs.image, inputs.mask), Shader(size, threads)
-        self._confidence_map = make_confidence_map(mesh, self._texture)
+        self.texture, self._shader = make_texture(inputs.image, inputs.mask), Shader(size, threads)
+        self.confidence_map = make_confidence_map(mesh, self.texture)
         every = mesh.face_count()
-        self._quads, drawn = mesh.blocks, every
+        self.quads, drawn = mesh.blocks, every
         if inputs.path_end is not None:
-            self._quads, drawn = simplify(mesh, inputs.path_end, equivalent_rows(size), threads=threads)
+            self.quads, drawn = simplify(mesh, inputs.path_end, equivalent_rows(size), threads=threads)
         self.triangles = drawn, every  # drawn for a frame, and of the mesh
         self._rasterizer = _rasterizer(size, threads)
-        self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
+        self._reprojector = Reprojector(lambda: self.texture, inputs.inverse_depth, self._shader)
 
     def twin(self, threads: int) -> "MeshRenderer":
         """The same surface with the same texture, and buffers of its own: for another thread."""
         twin, size = copy(self), self._shader.size
         twin._shader, twin._rasterizer = Shader(size, threads), _rasterizer(size, threads)
-        twin._reprojector = Reprojector(lambda: self._texture, self._reprojector.inverse_depth, twin._shader)
+        twin._reprojector = Reprojector(lambda: self.texture, self._reprojector.inverse_depth, twin._shader)
         return twin
 
     def __call__(self, target_from_source: Pose) -> Layer:
         """See :class:`Renderer`; colours are shaded on demand."""
-        seen = self._rasterizer(self._quads, target_from_source)
-        surface = (seen, self._confidence_map, self._texture, target_from_source)
+        seen = self._rasterizer(self.quads, target_from_source)
+        surface = (seen, self.confidence_map, self.texture, target_from_source)
         return Layer(
             seen,
             partial(self._shader.shade_rows_into, *surface),
@@ -114,6 +114,6 @@ class MeshRenderer:
         """Samples of the surface that the last call rasterised."""
         if not isinstance(self._rasterizer, Rasterizer):
             raise ValueError("expected an equirectangular target, got a perspective one; ask for no samples of edges")
-        seen = self._rasterizer.edge_samples(self._quads, target_from_source, edge_pixels)
-        colour = self._shader.shade_edges(seen, edge_pixels, self._confidence_map, self._texture, target_from_source)
+        seen = self._rasterizer.edge_samples(self.quads, target_from_source, edge_pixels)
+        colour = self._shader.shade_edges(seen, edge_pixels, self.confidence_map, self.texture, target_from_source)
         return seen, colour

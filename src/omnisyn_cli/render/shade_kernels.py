@@ -244,6 +244,13 @@ def _find_texels(coordinates, layout, count):
         coordinates[X, col] = atan2_fast(coordinates[X, col], -coordinates[Z, col]) * scale + zero
 
 
+@inlined(fastmath=True)
+def mip_level(squared, length, highest):
+    """The biased mip level, at most ``highest``, of squared texels per pixel and a direction's squared length."""
+    level = np.float32(0.5) * log2_fast(squared / (length + np.float32(1e-20)))
+    return min(max((np.float32(1.0) - MIP_BIAS) * level, level - MIP_BIAS), highest)
+
+
 @fast_subkernel()
 def _find_modes(rho, coordinates, squared, highest, modes):
     """Mip levels, and how pixels are read by them.
@@ -252,8 +259,7 @@ def _find_modes(rho, coordinates, squared, highest, modes):
     target the source shows the place. Texels per pixel over that length is the footprint; its log2 is the level.
     """
     for col in range(len(rho)):
-        level = np.float32(0.5) * log2_fast(squared / (coordinates[LEVEL, col] + np.float32(1e-20)))
-        level = min(max((np.float32(1.0) - MIP_BIAS) * level, level - MIP_BIAS), highest)
+        level = mip_level(squared, coordinates[LEVEL, col], highest)
         coordinates[LEVEL, col] = level
         mode = np.int32(level) if level > MAX_FULL_RESOLUTION_LEVEL else FULL_RESOLUTION
         modes[col] = mode if rho[col] >= 0.0 else HOLE

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.geometry.sampling import add_columns
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourStep
 
@@ -30,11 +30,10 @@ def confidence_step(
     It is 0 where neither layer shows anything; near 1 where both show one colour at one reliable (inverse) depth; 0.6
     where only one shows something; low where they contradict each other.
     """
-    tolerances = ConfidenceTolerances(ONE_VIEW_CONFIDENCE, DEPTH_TOLERANCE, COLOUR_TOLERANCE)
 
     def judge(first: np.ndarray, second: np.ndarray, top: int) -> None:
         rows = slice(top, top + len(first))
-        _confidence_rows(first, first_depth[rows], second, second_depth[rows], tolerances, out[rows])
+        _confidence_rows(first, first_depth[rows], second, second_depth[rows], TOLERANCES, out[rows])
 
     return judge
 
@@ -47,27 +46,36 @@ class ConfidenceTolerances(NamedTuple):
     colour: np.float32
 
 
+TOLERANCES = ConfidenceTolerances(ONE_VIEW_CONFIDENCE, DEPTH_TOLERANCE, COLOUR_TOLERANCE)
+
+
+@inlined(fastmath=True)
+def pixel_confidence(first, first_rho, second, second_rho, tolerances):
+    """Confidence of one pixel, given RGB and weight, and inverse depth, of both layers."""
+    zero, one, a, b = np.float32(0.0), np.float32(1.0), first[3], second[3]
+    depth_confidence = min(one, np.float32(DEPTH_CONFIDENCE_GAIN) * max(a, b))
+    if a > MIN_VISIBLE_WEIGHT and b > MIN_VISIBLE_WEIGHT:
+        rho_a, rho_b = max(first_rho, zero), max(second_rho, zero)
+        gap = (rho_a - rho_b) / (max(rho_a, rho_b) * tolerances.depth + np.float32(1e-9))
+        squared = zero
+        for k in range(3):
+            step = first[k] - second[k]
+            squared += step * step
+        squared = squared / (np.float32(3.0) * tolerances.colour * tolerances.colour)
+        return depth_confidence * math.exp(-gap * gap - squared)
+    if a > MIN_VISIBLE_WEIGHT or b > MIN_VISIBLE_WEIGHT:
+        return depth_confidence * tolerances.one_view_confidence
+    return zero
+
+
 @fast_kernel()
 def _confidence_rows(first, first_rho, second, second_rho, tolerances, out):
     """Confidence of rows of layers ``(height, width, 4)``, RGB and weight, and their inverse depths, into ``out``."""
-    zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(out.shape[0]):
         for col in range(out.shape[1]):
-            a, b = first[row, col, 3], second[row, col, 3]
-            depth_confidence = min(one, np.float32(DEPTH_CONFIDENCE_GAIN) * max(a, b))
-            if a > MIN_VISIBLE_WEIGHT and b > MIN_VISIBLE_WEIGHT:
-                rho_a, rho_b = max(first_rho[row, col], zero), max(second_rho[row, col], zero)
-                gap = (rho_a - rho_b) / (max(rho_a, rho_b) * tolerances.depth + np.float32(1e-9))
-                squared = zero
-                for k in range(3):
-                    step = first[row, col, k] - second[row, col, k]
-                    squared += step * step
-                squared = squared / (np.float32(3.0) * tolerances.colour * tolerances.colour)
-                out[row, col] = depth_confidence * math.exp(-gap * gap - squared)
-            elif a > MIN_VISIBLE_WEIGHT or b > MIN_VISIBLE_WEIGHT:
-                out[row, col] = depth_confidence * tolerances.one_view_confidence
-            else:
-                out[row, col] = zero
+            out[row, col] = pixel_confidence(
+                first[row, col], first_rho[row, col], second[row, col], second_rho[row, col], tolerances
+            )
 
 
 def low_confidence_regions(confidence: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
