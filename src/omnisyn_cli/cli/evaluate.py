@@ -77,7 +77,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of poses.json.")
 @click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
 @click.option("--no-pictures", is_flag=True, help="Save no frames, error maps and depth maps.")
-@device_option("Where networks run; everything else runs on the processor.")
+@device_option("What makes frames and runs networks; everything else runs on the processor.")
 @threads_option
 @json_option("all results")
 @quiet_option
@@ -211,7 +211,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 @click.option("--quick", is_flag=True, help="Frames and scenes of 512x256 only, for a quick look.")
 @layout_option
 @click.option("--pairs", metavar="0:4|every:N|FILE", help="Input frames, see omnisyn eval.")
-@device_option("Where networks run.")
+@device_option("What makes frames and runs networks.")
 @click.option("--store", metavar="FILE", type=FilePath(), help="Write the table that interpolate --budget uses.")
 @json_option("all figures")
 @quiet_option

@@ -137,7 +137,10 @@ if TYPE_CHECKING:
     "--stereo", type=click.Choice(["mono", "top-bottom"]), default="mono",
     help="top-bottom: both eyes for headsets. Distances have to be in metres.",
 )  # fmt: skip
-@device_option("Where networks run; auto uses a GPU if ONNX Runtime has one. All else runs on the processor.")
+@device_option(
+    "What makes frames and runs networks; auto uses a GPU where numba-cuda and ONNX Runtime have one. All else runs on "
+    "the processor (docs/gpu.md)."
+)
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option("--dry-run", is_flag=True, help="Print the plan and the expected time, and make nothing.")
 @json_option("the summary")

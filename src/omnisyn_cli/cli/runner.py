@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from omnisyn_cli.cli.progress import leftover_notes, memory_notes, say_when_compiling, shown_stages
+from omnisyn_cli.cli.progress import Stages, leftover_notes, memory_notes, say_when_compiling, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
 
 if TYPE_CHECKING:
@@ -39,16 +39,13 @@ def run_job(
     with nullcontext() if dry_run else claimed(job.output), shown_stages(is_quiet=quiet) as stages:
         places = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
         places += [folder for folder in (job.images[0].parent,) if folder.name.startswith(TEMPORARY_PREFIX)]
-        for note in leftover_notes(*places):  # before the output is refused
-            stages.note(f"note: {note}")
+        _say_notes(stages, leftover_notes(*places))  # before the output is refused
         if job.refine or job.poses == POSES_FROM_PICTURES:
             stages.show("poses")
         plan = with_prior_cost(plan_of(job), is_measured=dry_run)
-        for note in plan.notes:
-            stages.note(f"note: {note}")
+        _say_notes(stages, plan.notes)
         values = {**plan.describe(), **expected(plan)}
-        for note in memory_notes(values["memory_mib"] * 2**20):
-            stages.note(f"note: {note}")
+        _say_notes(stages, memory_notes(values["memory_mib"] * 2**20))
         if dry_run:
             if as_json or not quiet:
                 _print_plan(values, plan.in_words(values), as_json=as_json)
@@ -57,9 +54,9 @@ def run_job(
         from omnisyn_cli.compute.stopwatch import while_timing
         from omnisyn_cli.interpolation.configs import check_device
 
-        check_device(plan.config)
-        stages.log(plan.in_words(values))
         count = frames(plan)
+        _say_notes(stages, check_device(plan.config, makes_frames=bool(count)))
+        stages.log(plan.in_words(values))
         stages.expect(reading=len(plan.entries), depth=len(plan.pairs), **({"frames": count} if count else {}))
         is_unsaid = quiet or stages.has_bars  # which say it themselves
         with say_when_compiling(is_quiet=is_unsaid), while_compiling(stages.compile):
@@ -78,6 +75,11 @@ def run_job(
         for line in summary.lines(is_report_possible=is_report_possible):
             say(line)
     return summary
+
+
+def _say_notes(stages: Stages, notes: Iterable[str]) -> None:
+    for note in notes:
+        stages.note(f"note: {note}")
 
 
 def _print_plan(values: dict[str, Any], sentence: str, *, as_json: bool) -> None:

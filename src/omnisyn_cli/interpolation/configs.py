@@ -13,6 +13,7 @@ from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.models import find_prior
 from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.runtime.session import providers
+from omnisyn_cli.synthesis.device import has_device
 
 # Between two panoramas, from which on fewer triangles save more time than it takes to find them: 0.5 s of one core for
 # a mesh of 1024×512, and 0.02 s less for each frame of 1024×512 or 2048×1024 then.
@@ -112,7 +113,21 @@ def _prior(job: TourJob, kind: str, defaults: RunConfig) -> tuple[str | None, st
     return (None, "") if job.depth_prior == "none" else find_prior(job.depth_prior, job.depth_prior_kind)
 
 
-def check_device(config: RunConfig) -> None:
-    """Refuse (InputError) a device that this machine does not have; a plan alone may be for another one."""
-    if config.device == "cuda" and config.networks:
-        providers(config.device)
+def check_device(config: RunConfig, *, makes_frames: bool = False) -> tuple[str, ...]:
+    """Refuse (InputError) a device that this machine does not have; a plan alone may be for another one.
+
+    It returns what a user who asked for CUDA should know: what runs on the processor all the same.
+    """
+    if config.device != "cuda":
+        return ()
+    notes = []
+    if not (makes_frames and config.draws_surfaces):
+        if config.networks:
+            providers(config.device)
+    elif not config.frames_on_gpu:
+        notes.append("frames are made on the processor: a GPU makes them with --renderer mesh, without painting")
+    else:
+        has_device(config.device)
+        if config.networks and len(providers("auto")) == 1:
+            notes.append("networks run on the processor: this ONNX Runtime has no CUDA; onnxruntime-gpu has it")
+    return tuple(notes)

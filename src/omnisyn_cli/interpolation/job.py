@@ -54,7 +54,7 @@ class TourJob:
         depth_prior: the monocular depth network of a panorama, an ONNX file or the name of an added one, that says what
             to expect where matching leaves much open, in place of the preset's; ``none`` for none.
         depth_prior_kind: what its file does not say, see :mod:`omnisyn_cli.runtime.monocular_session`.
-        device: where networks run: ``auto``, ``cpu`` or ``cuda``. Poses and matching are found on the processor.
+        device: what makes frames and runs networks: ``auto``, ``cpu`` or ``cuda``. All else is the processor's.
         cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.RunConfig`; at most one of
             them, neither is the preset's.
         masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.compute.threads import frames_at_once, limited_threads, run_ranges
+from omnisyn_cli.compute.threads import limited_threads, run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, stereo_mode, targets
@@ -108,8 +108,8 @@ def run_interpolation(
             keeper = _PairKeeper(summary, loader, depth_folder, clock)
             is_stereo = job.stereo != "mono"
             rounds_early = is_rounded(job) and isinstance(method, SurfaceMethod) and not is_stereo
-            waiting, made = frames_in_queue(plan.size), frames_at_once(plan.size, threads)
-            ring = FrameRing(plan.size, waiting, made) if rounds_early else None
+            made = method.frames_at_once if isinstance(method, SurfaceMethod) else 1
+            ring = FrameRing(plan.size, frames_in_queue(plan.size), made) if rounds_early else None
             frames = synthesize(loader, plan.path, method, ring, keeper, photographs=not is_stereo)
             frames = keeper.both_eyes(frames) if is_stereo else frames
             for done, frame in enumerate(frames, start=1):
@@ -125,6 +125,10 @@ def run_interpolation(
                     on_frame(done)
             if isinstance(method, SurfaceMethod):
                 keeper.add_pairs_without_frames(method)
+                if method.device is not None and method.device.failure:
+                    summary.remarks.append(
+                        f"frames were made on the processor: the GPU failed ({method.device.failure})"
+                    )
             with clock("encode"):
                 for sink in sinks:
                     sink.finish()

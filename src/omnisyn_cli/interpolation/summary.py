@@ -169,6 +169,11 @@ class Summary(TourSummary):
     infinitely_far: dict[int, float] = field(default_factory=dict)
     # metres of the cameras above the floor, of pairs that show it
     camera_heights: dict[int, float] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)  # about what went otherwise than planned
+
+    def warnings(self) -> list[str]:
+        """Also what went otherwise than planned."""
+        return [*self.remarks, *super().warnings()]
 
     @property
     def camera_height(self) -> float | None:

@@ -15,7 +15,7 @@ __all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size"]
 # What pairs of low confidence get besides a warning: a smooth surface where depth is not confirmed, the photographs
 # cross-faded in doubtful regions, nothing; or an error.
 FALLBACKS = ("soft", "crossfade", "none", "fail")
-DEVICES = ("auto", "cpu", "cuda")  # that networks run on
+DEVICES = ("auto", "cpu", "cuda")  # that networks run on, and that make frames
 
 
 def frame_size(size: str | tuple[int, int]) -> tuple[int, int]:
@@ -43,7 +43,7 @@ class RunConfig:
     edges: bool = True  # whether pixels at edges are means of samples (:mod:`omnisyn_cli.fusion.supersampling`)
     fallback: str = "none"  # one of :data:`FALLBACKS`
     confidence: bool = False  # whether every frame gets a map of its confidence
-    device: str = "auto"  # where networks run, one of :data:`DEVICES`
+    device: str = "auto"  # where networks run and frames are made, one of :data:`DEVICES`
 
     def of_known_depth(self) -> RunConfig:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
@@ -68,6 +68,11 @@ class RunConfig:
     def draws_surfaces(self) -> bool:
         """Whether depth, renderer and fusion matter to its method."""
         return self.method_strategy.draws_surfaces
+
+    @property
+    def frames_on_gpu(self) -> bool:
+        """Whether a GPU can make its frames."""
+        return self.draws_surfaces and self.renderer == "mesh" and self.fusion_strategy.by_rules
 
     @property
     def estimates_depth(self) -> bool:

@@ -29,8 +29,9 @@ def make_method(
         adaptive=config.adaptive,
     )  # fmt: skip
     settings = FuserSettings(size, threads, config.fusion_rows, config.edges)
+    networks = "auto" if config.device == "cuda" and config.draws_surfaces else config.device
     return config.method_strategy.make(MethodParts(
-        options, clock, config.device,
-        lambda: estimator or make_estimator(config.depth, device=config.device, threads=threads),
-        lambda: fuser or make_fuser(config.fusion, settings, device=config.device),
+        options, clock, config.device, config.frames_on_gpu and fuser is None,
+        lambda: estimator or make_estimator(config.depth, device=networks, threads=threads),
+        lambda: fuser or make_fuser(config.fusion, settings, device=networks),
     ))  # fmt: skip

@@ -41,7 +41,7 @@ class FusionStrategy:
     model: str | None = None  # name in the manifest of its network; None has none
     network_bytes: Callable[[int], float] = lambda pixels: 0.0  # memory of the network for a frame of so many pixels
     by_rules: bool = True  # whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled
-    is_residual: bool = False  # whether a network corrects that rule; on a GPU the rule alone does then
+    is_residual: bool = False  # whether a network corrects that rule
 
 
 def _make_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:

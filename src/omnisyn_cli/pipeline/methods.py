@@ -28,6 +28,7 @@ class MethodParts:
     options: SynthesisOptions
     clock: Stopwatch | None
     device: str
+    frames_on_gpu: bool  # whether a GPU makes these frames, if the device is one
     estimator: Callable[[], DepthEstimator]
     fuser: Callable[[], Fuser]
 
@@ -47,9 +48,16 @@ class MethodStrategy:
 
 
 def _make_surfaces(parts: MethodParts) -> Method:
+    from omnisyn_cli.fusion.geometric import GeometricFuser
+    from omnisyn_cli.synthesis.device import has_device
     from omnisyn_cli.synthesis.methods import SurfaceMethod
 
-    return SurfaceMethod(parts.estimator(), parts.options, parts.fuser(), parts.clock)
+    fuser, device = parts.fuser(), None
+    if parts.frames_on_gpu and isinstance(fuser, GeometricFuser) and has_device(parts.device):
+        from omnisyn_cli.synthesis.device.frames import DeviceFrames
+
+        device = DeviceFrames(parts.options, fuser)
+    return SurfaceMethod(parts.estimator(), parts.options, fuser, parts.clock, device)
 
 
 def _make_crossfade(parts: MethodParts) -> Method:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Shaped, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.geometric import GeometricFuser
@@ -16,7 +16,8 @@ from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
 
-FrameAllocator = Callable[[], UInt8[np.ndarray, "height width 3"]]
+Samples = UInt8[np.ndarray, "height width 3"]
+FrameAllocator = Callable[[], Samples]
 
 
 # Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again.
@@ -69,7 +70,7 @@ class FusedFrame:
 
 def fuse_frame(
     pair: PreparedPair, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
-    samples: UInt8[np.ndarray, "height width 3"] | None,
+    samples: Samples | None,
 ) -> FusedFrame:  # fmt: skip
     """The frame of two renderings that were given one exposure, rounded into ``samples`` if they are given."""
     is_judged = options.confidence or pair.cross_fade is not None
@@ -83,11 +84,23 @@ def fuse_frame(
         if pair.is_soft and isinstance(fuser, GeometricFuser):
             fuser = partial(fuser.blend_by_rule, dissolves=True)
         image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
-        if pair.cross_fade is not None and confidence is not None:
-            pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
-        if pair.masked_fade is not None:
-            pair.masked_fade(image, waypoint.pose, waypoint.t)
+        frame = finish_frame(pair, image, confidence, waypoint)
     return FusedFrame(
-        Frame(image, waypoint, None, confidence), lambda: max(float(view.inverse_depth.max()) for view in seen),
-        pixels_per_radian(options.size),
-    )  # fmt: skip
+        frame, lambda: max(float(view.inverse_depth.max()) for view in seen), pixels_per_radian(options.size)
+    )
+
+
+# Makes the frame at a waypoint, rounded into samples if they are given; the clock collects seconds by stage.
+FrameMaker = Callable[[Waypoint, Samples | None, Stopwatch], FusedFrame]
+
+
+def finish_frame(
+    pair: PreparedPair, image: Shaped[np.ndarray, "height width 3"],
+    confidence: Float32[np.ndarray, "height width"] | None, waypoint: Waypoint,
+) -> Frame:  # fmt: skip
+    """The frame of a fused picture, in which doubtful regions and what is masked are faded."""
+    if pair.cross_fade is not None and confidence is not None:
+        pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
+    if pair.masked_fade is not None:
+        pair.masked_fade(image, waypoint.pose, waypoint.t)
+    return Frame(image, waypoint, None, confidence)

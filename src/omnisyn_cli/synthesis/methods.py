@@ -12,7 +12,7 @@ from contextvars import copy_context
 from dataclasses import replace
 from functools import cached_property, partial
 from itertools import cycle
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from jaxtyping import Float32
@@ -22,10 +22,20 @@ from omnisyn_cli.compute.threads import allowed_threads, frames_at_once, in_lane
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.render.renderer import MeshRenderer
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
-from omnisyn_cli.synthesis.frame import MAX_REUSE_T_STEP, Frame, FrameAllocator, FusedFrame, fuse_frame
+from omnisyn_cli.synthesis.frame import (
+    MAX_REUSE_T_STEP,
+    Frame,
+    FrameAllocator,
+    FrameMaker,
+    FusedFrame,
+    fuse_frame,
+)
 from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions, prepare_pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
+
+if TYPE_CHECKING:
+    from omnisyn_cli.synthesis.device.frames import DeviceFrames
 
 
 class Pair(Protocol):
@@ -68,11 +78,18 @@ class SurfaceMethod:
 
     def __init__(
         self, estimator: DepthEstimator, options: SynthesisOptions, fuser: Fuser | None = None,
-        clock: Stopwatch | None = None,
+        clock: Stopwatch | None = None, device: "DeviceFrames | None" = None,
     ) -> None:  # fmt: skip
         self.estimator, self.options, self.clock = estimator, options, clock or Stopwatch()
         self._fuser = fuser or GeometricFuser(options.size, threads=options.threads)
+        self.device = device  # makes frames in place of the processor
         self._chain: ChainDepth | None = None
+
+    @property
+    def frames_at_once(self) -> int:
+        """How many frames are made at once, at most."""
+        count = frames_at_once(self.options.size, self.options.threads)
+        return count if self.device is None else max(count, self.device.frames_at_once)
 
     def depths_of(self, views: Sequence[View]) -> ChainDepth:
         """The depth of a chain, which remembers what the next pair needs as long as no other chain is asked for."""
@@ -83,7 +100,7 @@ class SurfaceMethod:
     def prepare(self, index: int, views: Sequence[View]) -> "SurfacePair":
         """Find the depth of both and make their surfaces."""
         prepared = prepare_pair(index, self.depths_of(views), self.options, self.clock)
-        return SurfacePair(prepared, self._fuser, self.options, self.clock)
+        return SurfacePair(prepared, self._fuser, self.options, self.clock, self.device)
 
 
 class SurfacePair:
@@ -92,8 +109,11 @@ class SurfacePair:
     A frame in which nothing would be seen aside of where it was in the one before is that one, shown again.
     """
 
-    def __init__(self, prepared: PreparedPair, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> None:
-        self.prepared, self._fuser, self._options, self._clock = prepared, fuser, options, clock
+    def __init__(
+        self, prepared: PreparedPair, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
+        device: "DeviceFrames | None" = None,
+    ) -> None:  # fmt: skip
+        self.prepared, self._fuser, self._options, self._clock, self._device = prepared, fuser, options, clock, device
         self._last: FusedFrame | None = None
 
     @property
@@ -106,19 +126,21 @@ class SurfacePair:
         if self._last is not None and self._last.looks_the_same_from(waypoint):
             return self._last.again(waypoint, out)
         samples = None if out is None else out()
-        self._last = fuse_frame(self.prepared, waypoint, self._fuser, self._options, self._clock, samples)
+        on_device = self._device is not None and self._makers
+        maker = self._makers[0] if on_device else self._maker(self.prepared, self._fuser)
+        self._last = maker(waypoint, samples, self._clock)
         return self._last.frame
 
     def frames(self, waypoints: Iterable[Waypoint], out: FrameAllocator | None = None) -> Iterator[Frame]:
         """:meth:`frame` of several waypoints in their order; where there are cores for it, some are made at once."""
         makers = self._makers
-        if not makers:
+        if len(makers) < 2:
             yield from (self.frame(waypoint, out) for waypoint in waypoints)
             return
         made: deque[Future[FusedFrame]] = deque()
         clock, t = self._clock.of_one_of(len(makers)), math.inf if self._last is None else self._last.frame.waypoint.t
         with ThreadPoolExecutor(len(makers), "omnisyn-frame") as pool:
-            for waypoint, (lane, (prepared, fuser)) in zip(waypoints, cycle(enumerate(makers, start=1))):
+            for waypoint, (lane, maker) in zip(waypoints, cycle(enumerate(makers, start=1))):
                 if abs(waypoint.t - t) <= MAX_REUSE_T_STEP:  # perhaps the one before, which has to be there then
                     while made:
                         yield self._taken(made)
@@ -127,7 +149,7 @@ class SurfacePair:
                     if len(made) == len(makers):
                         yield self._taken(made)  # whose maker is the next in turn
                     samples = None if out is None else out()
-                    make = partial(fuse_frame, prepared, waypoint, fuser, self._options, clock, samples)
+                    make = partial(maker, waypoint, samples, clock)
                     made.append(pool.submit(copy_context().run, in_lane, lane, make))
                 t = waypoint.t
             while made:
@@ -138,19 +160,26 @@ class SurfacePair:
         self._last = made.popleft().result()
         return self._last.frame
 
+    def _maker(self, prepared: PreparedPair, fuser: Fuser) -> FrameMaker:
+        """What makes frames on the processor."""
+        return lambda waypoint, samples, clock: fuse_frame(prepared, waypoint, fuser, self._options, clock, samples)
+
     @cached_property
-    def _makers(self) -> list[tuple[PreparedPair, GeometricFuser]]:
-        """Surfaces and a fuser for each frame that is made at once; none where frames are made one after the other."""
+    def _makers(self) -> list[FrameMaker]:
+        """A maker for each frame that is made at once; none where frames are made one after the other."""
         fuser, options = self._fuser, self._options
         twins = [renderer.twin for renderer in self.prepared.renderers if isinstance(renderer, MeshRenderer)]
-        count = frames_at_once(options.size, options.threads)
-        if not isinstance(fuser, GeometricFuser) or len(twins) < 2 or count < 2:
+        count, threads = frames_at_once(options.size, options.threads), options.threads or allowed_threads()
+        if not isinstance(fuser, GeometricFuser) or len(twins) < 2 or (count < 2 and self._device is None):
             return []
-        threads = (options.threads or allowed_threads()) // count
-        return [
-            (replace(self.prepared, renderers=(twins[0](threads), twins[1](threads))), fuser.twin(threads))
-            for _ in range(count)
-        ]
+
+        def twin(threads: int) -> FrameMaker:
+            renderers = twins[0](threads), twins[1](threads)
+            return self._maker(replace(self.prepared, renderers=renderers), fuser.twin(threads))
+
+        if self._device is not None:
+            return self._device.of_pair(self.prepared, twin(threads))
+        return [twin(threads // count) for _ in range(count)]
 
     def inverse_depth(self, waypoint: Waypoint, views: Sequence[int] = (0, 1)) -> Float32[np.ndarray, "height width"]:
         """See :class:`Pair`: the nearer surface, of one view (0 or 1) if only that is shown."""
