@@ -22,6 +22,7 @@ from omnisyn_cli.poses.floor import (
     height_above_points,
     height_in_depth,
     level_of_points,
+    spread_above,
 )
 from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import angle_between, direction_error, rotation_error
@@ -193,6 +194,13 @@ def test_the_level_of_points_is_told_within_5_percent_or_not_at_all():
     off = np.random.default_rng(7).normal(size=400)
     assert level_of_points(1.6 * np.exp(0.02 * off)) == (pytest.approx(1.6, rel=0.01), pytest.approx(0.0135, rel=0.2))
     assert level_of_points(1.6 * np.exp(0.042 * off)) is None
+
+
+def test_a_plane_with_few_points_is_a_floor_if_none_of_them_lies_below():
+    points = np.array([1.3, 1.35, 1.5, 1.55, 8.0, 0.4])  # the last two are a reflection and a bin
+    assert spread_above(1.6, points) == pytest.approx(0.109, abs=0.001)
+    assert spread_above(1.6, points[1:]) is None
+    assert spread_above(1.6, np.append(points, 1.9)) is None
 
 
 def test_without_a_floor_there_is_no_height():

@@ -26,7 +26,7 @@ from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
-from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points, spread_above
 from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
@@ -358,7 +358,8 @@ def _scale(
 def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]) -> tuple[float, float, str]:
     """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it.
 
-    Furniture may be all that a few pairs see, so matched points have to agree with them. Pairs on stairs do not count.
+    Furniture may be all that a few pairs see, so matched points have to agree with them: many closely, or some with
+    none below. Pairs on stairs do not count.
     """
     steps = [world[edge.second].position - world[edge.first].position for edge in edges]
     chosen = [edge for edge, step in zip(edges, steps, strict=True) if abs(step[1]) < MAX_CLIMB * np.hypot(*step[::2])]
@@ -368,8 +369,11 @@ def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequ
         height = float(np.quantile(heights, FLOOR_QUANTILE))
         spread = float(np.median(np.abs(np.array(heights) - height))) / height
         return height, spread, f"{len(heights)} of {len(edges)} pairs see"
-    points = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
-    level = level_of_points(np.concatenate([np.zeros(0), *points]))
+    above = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
+    points = np.concatenate([np.zeros(0), *above])
+    level = level_of_points(points)
+    if level is None and heights and (spread := spread_above(min(heights), points)) is not None:
+        level = min(heights), spread
     if level is None or any(abs(height / level[0] - 1.0) > MAX_LEVEL_ERROR for height in heights):
         found = "none" if chosen else "cameras at different heights (stairs?)"
         found = "planes that matched points do not confirm (furniture?)" if heights else found
