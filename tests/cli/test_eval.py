@@ -135,7 +135,7 @@ def test_pairs_can_be_chosen(omnisyn: Omnisyn, scenes: Path) -> None:
     [
         (["--methods", "nosuch"], 3, "expected one of crossfade"), (["--format", "zind"], 3, "the layout 'zind'"),
         (["--format", "nosuch"], 2, "nosuch"), (["--pairs", "x"], 3, "expected pairs"),
-        (["--size", "64x64"], 2, "twice as wide"), (["--lpips", "nosuch.onnx"], 3, "nosuch.onnx"),
+        (["--size", "64x64"], 2, "twice as wide"),
         (["--report", "/dev/null/report"], 3, "expected a folder for the report"),
     ],
 )  # fmt: skip

@@ -75,7 +75,6 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 )  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of poses.json.")
-@click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
 @click.option("--no-pictures", is_flag=True, help="Save no frames, error maps and depth maps.")
 @device_option("Where networks run; everything else runs on the processor.")
 @threads_option

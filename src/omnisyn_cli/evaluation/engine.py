@@ -24,7 +24,7 @@ from omnisyn_cli.evaluation.datasets.sources import (
 )
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.grouping import BOUND, median_depth
-from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
+from omnisyn_cli.evaluation.measure import Measurement, measure
 from omnisyn_cli.evaluation.methods import (
     PHOTOGRAPH_METHODS,
     ComparedMethod,
@@ -55,7 +55,6 @@ class EvaluationJob:
     layout: str = "auto"  # of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``
     pairs: str | None = None  # which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.sources`
     size: tuple[int, int] | None = None  # (height, width) of the comparison; None means that of the true frames
-    lpips: Path | None = None  # ONNX file for a perceptual distance
     pictures: bool = True  # keep frames, error maps and depth as pictures
     device: str = "auto"  # where networks run
     threads: int | None = None  # at most this many; None is one per core
@@ -129,8 +128,8 @@ def evaluate(
     """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
 
     Their report is written at the end, and after an interruption as well. ``on_unit`` gets the number of finished units
-    and the last record. InputError: unreadable earlier results, or no network for ``lpips``; OutputPathError,
-    WriteError: the folder of the report cannot be written.
+    and the last record. InputError: unreadable earlier results; OutputPathError, WriteError: the folder of the report
+    cannot be written.
     """
     folder, records, units = plan.job.report, list[UnitRecord](), 0
     make_folder(folder, "the report")
@@ -160,15 +159,9 @@ class _UnitRunner:
     def __init__(self, job: EvaluationJob) -> None:
         self._job, self._fingerprints = job, Fingerprints()
         self._still = cache(still_region_of)
-        self._perceptual: Perceptual | None = None
         self._options: dict[str, Any] = {
             "size": job.size, "pictures": job.pictures, "device": job.device, "leave_out": job.leave_out,
         }  # fmt: skip
-        if job.lpips is not None:
-            from omnisyn_cli.evaluation.metrics.lpips import Lpips
-
-            self._perceptual = Lpips(job.lpips, threads=job.threads)
-            self._options["lpips"] = self._fingerprints.of_file(job.lpips)
 
     def records(self, pair: Pair, methods: tuple[ComparedMethod, ...], known: KnownRecords) -> Iterator[UnitRecord]:
         """One record for every method, the known one where nothing has changed."""
@@ -215,7 +208,7 @@ class _UnitRunner:
                 method, loaded.views, threads=threads, device=device, known=depths, around=loaded.around,
                 still=loaded.still,
             )  # fmt: skip
-            made = measure(at_work, loaded, (blank.first, blank.second), self._perceptual, threads)
+            made = measure(at_work, loaded, (blank.first, blank.second), threads)
         except MethodUnavailableError as error:
             return replace(blank, status="unavailable", reason=one_line(error))
         except Exception as error:  # noqa: BLE001 - one broken method must not end a comparison of many

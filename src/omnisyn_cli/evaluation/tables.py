@@ -83,7 +83,6 @@ FRAMES = Means(
         "ws_ssim": Column("WS-SSIM", 1, 4),
         "ssim": Column("SSIM", 1, 4),
         "lrce": Column("LRCE", -1, 4),
-        "lpips": Column("LPIPS", -1, 4),
         "aligned_psnr": Column("WS-PSNR aligned, dB", 1),
         "aligned_ssim": Column("WS-SSIM aligned", 1, 4),
         "misplacement": Column("Misplacement, degrees", -1),
