@@ -1,6 +1,6 @@
 """``omnisyn info``: what the program sees in a file, before anything is done with it."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -48,15 +48,6 @@ def info(
     reading = Reading(**{name: options[name] for name in ("upper_half", "hfov", "vfov", "horizon")})
     limits: dict[str, Any] = {"max_pixels": max_pixels or MAX_PIXELS, "allow_outside": allow_outside}
     describe = partial(describe_file, reading=reading, **limits)
-    descriptions = show_described(context, files, describe, as_json=as_json)
-    if report is not None:
-        _report(descriptions, report, **limits, **options)
-
-
-def show_described(
-    context: click.Context, files: Iterable[Path], describe: Callable[[Path], dict[str, Any]], *, as_json: bool
-) -> list[dict[str, Any]]:
-    """Print what is said of every file; the command ends where one cannot be used."""
     descriptions = [_description(path, describe) for path in files]
     if as_json:
         print_json(descriptions)
@@ -65,7 +56,8 @@ def show_described(
             _show(description)
     if not all(description["ok"] for description in descriptions):
         context.exit(EXIT_INPUT)
-    return descriptions
+    if report is not None:
+        _report(descriptions, report, **limits, **options)
 
 
 def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) -> None:
