@@ -31,7 +31,6 @@ from omnisyn_cli.evaluation.methods import (
     MethodAtWork,
     MethodUnavailableError,
     PairDepths,
-    also_in_tours,
     find_methods,
 )
 from omnisyn_cli.evaluation.results import RESULTS_NAME, Status, UnitRecord, read_records, worst_frames
@@ -42,7 +41,6 @@ from omnisyn_cli.io.documents import append_line
 from omnisyn_cli.io.outputs import make_folder
 
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]  # The last record of every unit.
-DEFAULT_TOUR_PAIRS = "every:2"  # pairs of tours unless others are asked for
 
 
 @dataclass(frozen=True)
@@ -59,9 +57,6 @@ class EvaluationJob:
     device: str = "auto"  # where networks run
     threads: int | None = None  # at most this many; None is one per core
     allow_outside: bool = False  # accept depth and masks that ``poses.json`` names outside of its folder
-    # compare methods that look for depth with themselves in tours; every second frame is an input then, unless
-    # ``pairs`` says otherwise
-    tours: bool = False
     # photographs of tours: each is the truth between its neighbours, unless ``pairs`` names others
     leave_out: bool = False
     command: str = "from Python"  # that asked for all this, as the report says
@@ -86,11 +81,11 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     """Read all poses, no picture; InputError: no scenes, no such method, unclear or absent pairs, a size not 2:1."""
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
-    if job.leave_out and (job.tours or job.layout != "auto"):
-        raise InputError("expected --leave-out alone, got --tours or --format with it; leave one of them out")
-    methods = also_in_tours(find_methods(job.methods)) if job.tours else find_methods(job.methods)
+    if job.leave_out and job.layout != "auto":
+        raise InputError("expected --leave-out alone, got --format with it; leave one of them out")
+    methods = find_methods(job.methods)
     has_tours = any(method.is_in_tour for method in methods)
-    choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else AROUND_PAIRS if job.leave_out else None))
+    choose = choose_pairs(job.pairs or (AROUND_PAIRS if job.leave_out else None))
     if job.leave_out:
         sources = tours_of_photographs(job.dataset, choose, job.report, job.threads, allow_outside=job.allow_outside)
         choose = choose_pairs(None)

@@ -332,17 +332,6 @@ PHOTOGRAPH_METHODS = (
 )  # fmt: skip
 
 
-def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
-    """Each method and, where it looks for depth, the same in a tour."""
-    asked = dict.fromkeys(
-        name
-        for method in methods
-        for name in (method.name, f"{method.name}:{TOUR_PARAMETER}")
-        if name == method.name or (method.config.estimates_depth and not method.is_in_tour)
-    )
-    return [find_method(name) for name in asked]
-
-
 def find_methods(text: str) -> list[ComparedMethod]:
     """``usual``, ``all``, or names separated by commas, each once; InputError: an unknown name, or none."""
     if text in ("usual", "all"):
