@@ -62,8 +62,11 @@ def label_surfaces(
     A plane is valid also where there is no texture; a match is not.
     """
     grid, planes = pair.grid, candidates.normals
-    is_static = _static_texture(grid, matches)
-    is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
+    # Above the horizon and away from the epipoles no parallax means infinity. Texture without any there is static:
+    # clouds, or what stands at the horizon.
+    can_show_infinity = (grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > MIN_SKY_EPIPOLE_SINE)
+    is_static = matches.valid & can_show_infinity & (matches.disparity < 1.0)
+    is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * can_show_infinity.sum())
     disparities = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
     bound, support = _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open), PlaneSupport.of(pair, matches)
 
@@ -182,16 +185,6 @@ def _density(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     blurred = cv2.GaussianBlur(small, (0, 0), sigmaX=rows / PLANE_SUPPORT_SIGMAS_PER_HEIGHT)
     large = cv2.resize(blurred, (2 * width, height))
     return np.concatenate([large[:, width : width + width // 2], large[:, width // 2 : width]], axis=1)
-
-
-def _can_show_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
-    """Above the horizon and away from the epipoles: no parallax means infinity there."""
-    return np.asarray((grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > MIN_SKY_EPIPOLE_SINE))
-
-
-def _static_texture(grid: EpipolarGrid, matches: DisparityMap) -> Bool[np.ndarray, "height width"]:
-    """Texture above the horizon that has no parallax: clouds, or what stands at the horizon."""
-    return np.asarray(matches.valid & _can_show_infinity(grid) & (matches.disparity < 1.0))
 
 
 def _floor_and_ceiling_bound(
