@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,18 +43,15 @@ def models(folder: Path | None, as_json: bool) -> None:
     if not entries:
         say("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
         return
-    for line in _table([HEADER, *map(_row, entries)]):
-        say(line)
-    for choice in _choices(entries, folder):
-        say(f"for interpolate: {choice}")
-
-
-def _choices(entries: Iterable[ModelEntry], folder: Path | None) -> Iterator[str]:
-    """How networks are chosen, by their names or paths, with the source of depth that each belongs to."""
+    rows = [HEADER, *map(_row, entries)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:  # the width of a terminal crops nothing
+        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
     sources = {source.role: source.name for source in DEPTH_SOURCES.values() if source.role}
     for entry in entries:
         if entry.role in sources:
-            yield f"--depth {sources[entry.role]} --model {entry.name if folder is None else folder / entry.file}"
+            network = entry.name if folder is None else folder / entry.file
+            say(f"for interpolate: --depth {sources[entry.role]} --model {network}")
 
 
 def _row(entry: ModelEntry) -> tuple[str, ...]:
@@ -63,13 +59,6 @@ def _row(entry: ModelEntry) -> tuple[str, ...]:
     counted = f"{count / 1e6:.1f} million" if count >= 1e5 else f"{count:,}"
     hours = f"{entry.hours:g}" if entry.hours else "-"
     return entry.name, entry.role, f"{width}x{height}", counted, hours, entry.purpose
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Lines with aligned columns; the width of a terminal crops nothing."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 @click.command("export-onnx")

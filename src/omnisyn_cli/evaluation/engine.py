@@ -24,7 +24,7 @@ from omnisyn_cli.evaluation.datasets.sources import (
 )
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.grouping import BOUND, median_depth
-from omnisyn_cli.evaluation.measure import Measurement, measure
+from omnisyn_cli.evaluation.measure import measure
 from omnisyn_cli.evaluation.methods import (
     PHOTOGRAPH_METHODS,
     ComparedMethod,
@@ -212,8 +212,12 @@ class _UnitRunner:
         if self._job.pictures:
             writer = PictureWriter(self._job.report, pair, blank.method)
             frames, of_views = writer.frames(loaded, made), writer.depths(loaded, made)
+        known = loaded.views[0].known_depth
+        if known is None and loaded.are_photographs and made.found is not None:  # whose true depth nobody knows
+            known = made.found[0]
+        depth = None if known is None else median_depth(known.inverse_depth)
         return replace(
-            blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded, made), frames=frames,
+            blank, status="done", size=loaded.size, median_depth=depth, frames=frames,
             depths=of_views, temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
         )  # fmt: skip
 
@@ -222,11 +226,3 @@ def one_line(error: Exception) -> str:
     """The message of an error; for those that this package did not expect, with their kind."""
     text = " ".join(str(error).split())
     return text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}"
-
-
-def _median_depth_of(loaded: LoadedPair, made: Measurement) -> float | None:
-    """Of the first panorama; between photographs, whose true depth nobody knows, that which the method has found."""
-    known = loaded.views[0].known_depth
-    if known is None and loaded.are_photographs and made.found is not None:
-        known = made.found[0]
-    return None if known is None else median_depth(known.inverse_depth)

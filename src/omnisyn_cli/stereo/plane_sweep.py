@@ -383,9 +383,7 @@ def _fit(
     """The plane fitted again and again to where the pixels of both panoramas match best that it shows."""
     for _ in range(times):
         seen = normal, planes_from_second(normal[None])[0]
-        points = _for_both_directions(
-            directions, lambda which, direction, seen=seen: direction.matched_points(seen[which])
-        )
+        points = _for_both_directions(directions, lambda which, each: each.matched_points(seen[which]))  # noqa: B023
         equations = PlaneEquations.of(*points)
         normal = fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool), stiffness)
     return normal

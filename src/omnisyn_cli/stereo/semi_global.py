@@ -199,7 +199,8 @@ def _extend_path(cost, previous, length, current, shift, p1, p2, cheapest, sums)
     """One step of a path to the next pixel, whose first disparity is ``shift`` more; returns the least path cost there.
 
     ``previous`` has the ``length`` path costs at the pixel before, between two paddings; ``current`` gets those at this
-    one, which are added to ``sums`` too. The least one before, ``cheapest``, is subtracted: so costs stay bounded.
+    one, and ``sums`` has them added. A change by one costs ``p1``, any other one ``p2``. The least path cost before,
+    ``cheapest``, is subtracted, so that costs stay bounded.
 
     All loops vectorise: indices are unsigned, and results are cut back to 16 bits at once, so that none needs more.
     """

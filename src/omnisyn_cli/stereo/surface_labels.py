@@ -6,7 +6,6 @@ match at all.
 Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-based rendering, 2009.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -79,14 +78,16 @@ def label_surfaces(
             known = support.around(planes[k - 1], bool(candidates.is_measured[k - 1]), cost)
         return options.unsupported_plane_penalty * (1.0 - known)
 
-    costs = np.empty((*pair.size, len(disparities)), np.uint16)
-    for k, cost in enumerate(_candidate_costs(pair, disparities, options)):
+    costs, luminance = np.empty((*pair.size, len(disparities)), np.uint16), luminance_of(pair.first)
+    signature, colour = census_transform(luminance), (options.colour_weight, options.colour_truncation)
+    for k, disparity in enumerate(disparities):  # costs of all of them would not fit the cache of a processor
+        cost = surface_cost(pair.first, signature, pair.second, pair.second_usable, disparity, *colour)
         own_bias = bias(k, cost)
         cost += options.outside_floor_ceiling_penalty * (disparities[k] < bound)
         if pair.prior is not None:
             cost += pair.prior.cost(disparities[k])
         costs[..., k] = to_fixed_point(cost + own_bias)
-    label = _select_labels(costs, luminance_of(pair.first), disparities, options)
+    label = _select_labels(costs, luminance, disparities, options)
     disparity = np.take_along_axis(disparities, label[None], axis=0)[0]
     return DisparityMap(disparity, pair.first_usable & ((label > 0) | matches.valid))
 
@@ -118,18 +119,6 @@ def _candidate_disparities(
     if is_sky_open:
         candidates[-1] = np.where(grid.sin_elevation > 0, 0.0, NOT_VISIBLE_DISPARITY)
     return candidates
-
-
-def _candidate_costs(
-    pair: RectifiedPair, candidates: np.ndarray, options: MatchingOptions
-) -> Iterator[Float32[np.ndarray, "height width"]]:
-    """One after the other: all of them would not fit the cache of a processor."""
-    signature = census_transform(luminance_of(pair.first))
-    for disparity in candidates:
-        yield surface_cost(
-            pair.first, signature, pair.second, pair.second_usable, disparity, options.colour_weight,
-            options.colour_truncation,
-        )  # fmt: skip
 
 
 class PlaneSupport(NamedTuple):
