@@ -12,14 +12,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.presets import PRESETS
-from omnisyn_cli.runtime.models import (
-    MANIFEST,
-    ModelEntry,
-    manifest_text,
-    models_folder,
-    read_manifest,
-    sha256_of,
-)
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, manifest_text, models_folder, read_manifest, sha256_of
 from omnisyn_cli.training.checkpoint import save_checkpoint
 from omnisyn_cli.training.tasks import TASKS
 

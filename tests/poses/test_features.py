@@ -16,13 +16,7 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.images import outside_nadir
 from omnisyn_cli.poses.estimation import PictureOptions, check_poses, estimate_poses
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile
-from omnisyn_cli.poses.floor import (
-    FLOOR_SIZE,
-    floor_heights,
-    height_above_points,
-    height_in_depth,
-    level_of_points,
-)
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, height_in_depth, level_of_points
 from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import angle_between, direction_error, rotation_error
 from omnisyn_cli.poses.registration.robust import estimate_relative_pose

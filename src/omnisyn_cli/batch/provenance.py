@@ -17,13 +17,7 @@ from omnisyn_cli.interpolation.configs import video_config
 from omnisyn_cli.interpolation.job import INPUT_FILES, INPUT_LISTS
 from omnisyn_cli.io.outputs import relative_name
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.runtime.models import (
-    MANIFEST,
-    ModelEntry,
-    models_folder,
-    read_manifest,
-    sha256_of,
-)
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest, sha256_of
 
 FileStamp = tuple[str, int, int]
 

@@ -138,6 +138,13 @@ def _describe_video(path: Path) -> dict[str, Any]:
     if stream is None:
         words = report.removesuffix("At least one output file must be specified").splitlines()[-1:] or ["nothing"]
         raise InputError(f"{path}: expected a video, got '{words[0]}' from ffmpeg; check that the file is complete")
+    spherical = None
+    if path.suffix.lower() in BOXED_SUFFIXES:
+        metadata = read_spherical(path)
+        spherical = {
+            "version_1": metadata.has_version_1, "version_2": metadata.has_version_2, "projection": metadata.projection,
+            "stereo_mode": metadata.stereo_mode, "software": metadata.software,
+        }  # fmt: skip
     fps, duration = stream["fps"], DURATION.search(report)
     hours, minutes, seconds = map(float, duration.groups()) if duration else (0.0, 0.0, 0.0)
     return {
@@ -146,15 +153,5 @@ def _describe_video(path: Path) -> dict[str, Any]:
         "fps": float(fps.replace("k", "e3")) if fps else None,
         "duration_seconds": hours * 3600 + minutes * 60 + seconds if duration else None,
         "colour": [part.strip() for part in (stream["colour"] or "").split(",") if part.strip()],
-        "spherical": _describe_spherical(path),
-    }  # fmt: skip
-
-
-def _describe_spherical(path: Path) -> dict[str, Any] | None:
-    if path.suffix.lower() not in BOXED_SUFFIXES:
-        return None
-    metadata = read_spherical(path)
-    return {
-        "version_1": metadata.has_version_1, "version_2": metadata.has_version_2, "projection": metadata.projection,
-        "stereo_mode": metadata.stereo_mode, "software": metadata.software,
+        "spherical": spherical,
     }  # fmt: skip

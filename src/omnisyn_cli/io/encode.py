@@ -1,5 +1,6 @@
 """Images written to files, whole or not at all, and numbered images in a folder as a place for frames."""
 
+import base64
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -113,6 +114,11 @@ def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"], quality: in
     if not is_encoded:
         raise ValueError(f"expected an image that fits JPEG's 65535 pixels, got {samples.shape}")
     return bytes(data.tobytes())
+
+
+def data_uri(data: bytes, kind: str) -> str:
+    """A picture file of a kind (``png``, ``jpeg``) as an address that holds all of it."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def _samples_for(suffix: str, image: np.ndarray) -> np.ndarray:
