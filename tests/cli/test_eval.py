@@ -149,10 +149,3 @@ def test_methods_are_listed_without_a_data_set(omnisyn: Omnisyn) -> None:
     result = omnisyn.made("eval", "--list-methods")
     for name in ("crossfade", "flow", "matching", "omnisyn-balanced", "synsin-2view", "oracle-depth"):
         assert f"{name} " in result.out
-
-
-def test_layouts_and_formats_are_the_same_names() -> None:
-    from omnisyn_cli.cli.evaluate import LAYOUTS
-    from omnisyn_cli.evaluation.datasets import FORMATS
-
-    assert ("auto", *FORMATS) == LAYOUTS
