@@ -5,28 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ball_samples import FIRST, SECOND, SIZE, ball
 from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry import sweep
-from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.runtime import image_networks
 from omnisyn_cli.runtime.session import open_model, open_session
 from omnisyn_cli.types import View
-
-SIZE = (64, 128)
-CENTRE, RADIUS = np.array([0.3, -0.2, 0.4]), 3.0
-FIRST = Pose(rotation_from_rotation_vector(np.array([0.2, 1.0, -0.1])), np.array([0.1, 0.2, -0.3]))
-SECOND = Pose(rotation_from_rotation_vector(np.array([-0.3, -2.0, 0.4])), np.array([0.9, 0.4, 0.7]))
-
-
-def ball(pose, size=SIZE):
-    """Inverse depth and colours seen from inside a ball, in a camera's own frame."""
-    directions = pixel_directions(*size) @ pose.rotation.T
-    offset = pose.position - CENTRE
-    slope = directions @ offset
-    depth = -slope + np.sqrt(slope**2 - offset @ offset + RADIUS**2)
-    return 1.0 / depth, 0.5 + 0.5 * (offset + depth[..., None] * directions) / RADIUS
 
 
 class Oracle:

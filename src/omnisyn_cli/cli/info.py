@@ -1,7 +1,6 @@
 """``omnisyn info``: what the program sees in a file, before anything is done with it."""
 
-from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from omnisyn_cli.cli.options import preset_option, reading_options, scale_option
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import leftover_notes, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
+from omnisyn_cli.errors import OmnisynError
 
 
 @click.command()
@@ -47,17 +47,13 @@ def info(
 
     reading = Reading(**{name: options[name] for name in ("upper_half", "hfov", "vfov", "horizon")})
     limits: dict[str, Any] = {"max_pixels": max_pixels or MAX_PIXELS, "allow_outside": allow_outside}
-    describe = partial(describe_file, reading=reading, **limits)
-    descriptions = show_described(context, files, describe, as_json=as_json)
-    if report is not None:
-        _report(descriptions, report, **limits, **options)
-
-
-def show_described(
-    context: click.Context, files: Iterable[Path], describe: Callable[[Path], dict[str, Any]], *, as_json: bool
-) -> list[dict[str, Any]]:
-    """Print what is said of every file; the command ends where one cannot be used."""
-    descriptions = [_description(path, describe) for path in files]
+    descriptions: list[dict[str, Any]] = []
+    for path in files:
+        try:
+            found = describe_file(path, reading=reading, **limits)
+            descriptions.append({"file": str(path), "ok": found.get("usable", True), **found})
+        except OmnisynError as error:
+            descriptions.append({"file": str(path), "ok": False, "error": str(error)})
     if as_json:
         print_json(descriptions)
     else:
@@ -65,7 +61,8 @@ def show_described(
             _show(description)
     if not all(description["ok"] for description in descriptions):
         context.exit(EXIT_INPUT)
-    return descriptions
+    if report is not None:
+        _report(descriptions, report, **limits, **options)
 
 
 def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) -> None:
@@ -90,16 +87,6 @@ def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) ->
         for note in plan.notes:
             stages.note(f"note: {note}")
     say(f"{report}: a page about {len(plan.entries)} panoramas", err=True)
-
-
-def _description(path: Path, describe: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
-    from omnisyn_cli.errors import OmnisynError
-
-    try:
-        description = describe(path)
-    except OmnisynError as error:
-        return {"file": str(path), "ok": False, "error": str(error)}
-    return {"file": str(path), "ok": description.get("usable", True), **description}
 
 
 def _show(description: dict[str, Any]) -> None:

@@ -115,9 +115,9 @@ depth_options = all_of(  # where depth comes from
         "--model", metavar="NAME|PATH", help="Network for the depth, see `omnisyn models`.  [default: the preset's]"
     ),
     click.option(
-        "--depth-prior", metavar="FILE|NAME|none",
-        help="Your own depth network, asked where matching leaves much open (docs/depth-prior.md): an ONNX file or one "
-        "of `omnisyn models`.  [default: the preset's]",
+        "--depth-prior", metavar="FILE|none",
+        help="Your own depth network as an ONNX file, asked where matching leaves much open (docs/depth-prior.md).  "
+        "[default: the preset's]",
     ),
     click.option(
         "--depth-prior-kind", metavar="WORDS", default="", show_default=False,
@@ -210,15 +210,16 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
 
     An output that nobody named has this ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
     """
-    from omnisyn_cli.interpolation.inputs import along_path, named_tour, poses_beside
+    from omnisyn_cli.interpolation.inputs import along_path, named_tour
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
+    from omnisyn_cli.poses.file import POSES_NAME
 
     images, poses, output = options["images"], options["poses"], options["output"]
     path = options.get("path")
     lacking = ""
     if len(images) == 1 and not images[0].is_dir():
         lacking = f"{images[0]}: expected two or more panoramas or a folder of them, got one; name another"
-    elif poses is None and not poses_beside(images):
+    elif poses is None and not (images[0].is_dir() or (images[0].parent / POSES_NAME).is_file()):
         lacking = (
             f"expected --poses, or a poses.json beside {images[0]}, got neither; have poses found in the pictures "
             "(--poses auto), or name the pose file (--poses FILE)"

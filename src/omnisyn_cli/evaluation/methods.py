@@ -20,7 +20,7 @@ from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.grouping import BOUND, TOUR_PARAMETER
 from omnisyn_cli.evaluation.simulated_prior import NAME as SIMULATED_PRIOR
 from omnisyn_cli.evaluation.simulated_prior import SimulatedModel
-from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -31,7 +31,7 @@ from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
-from omnisyn_cli.runtime.models import find_prior, read_manifest, sha256_of
+from omnisyn_cli.runtime.models import read_manifest, sha256_of
 from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.stereo.monocular_prior import with_monocular_priors
 from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
@@ -39,7 +39,7 @@ from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
 FIRST_VIEW_SHARE = 1e-9  # share of the way at which the exposure of a frame is still that of the first view
 
@@ -115,7 +115,7 @@ class MethodAtWork:
 
     def __call__(self, size: tuple[int, int], clock: Stopwatch) -> Pair:
         """The pair ready for frames of a size; seconds by stage go to the stopwatch."""
-        fuser = _FirstViewOnly(size, self._threads) if self._method.shows_first_only else None
+        fuser = _FirstViewOnly(size, threads=self._threads) if self._method.shows_first_only else None
         with _unavailable_without_network():
             method = make_method(
                 self._config, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
@@ -172,17 +172,13 @@ def _resized(estimate: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     return replace(estimate, inverse_depth=inverse_depth, confidence=confidence)
 
 
-class _FirstViewOnly:
+class _FirstViewOnly(GeometricFuser):
     """A fuser that is blind to the second view."""
 
-    def __init__(self, size: tuple[int, int], threads: int | None) -> None:
-        self._fuser: Fuser = GeometricFuser(size, threads=threads)
-
     def __call__(
-        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
-        confidence: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
-        return self._fuser(first, _nothing_of(second), t, out, confidence)
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
+    ) -> Picture:
+        return super().__call__(first, _nothing_of(second), t, out, confidence)
 
 
 def _nothing_of(view: Layer) -> Layer:
@@ -281,7 +277,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     if not changes:
         raise InputError(
             f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {', '.join(PLAIN_PARAMETERS)}, "
-            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx|NAME, "
+            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx, "
             f"prior-kind=perspective+depth, prior=simulated(0.1) (where a network refines matching) or "
             f"{TOUR_PARAMETER} (where depth is estimated) after the colon, got {parameter!r} in {name!r}"
         )
@@ -305,25 +301,20 @@ def _changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
         return {"depth_size": (height, width)} if width == 2 * height > 0 else {}
     if key == "model" and value.endswith(".onnx") and depth.strategy.role is not None:
         return {"depth": replace(depth, model=value)}
-    if key == "rows" and depth.strategy.model_is_optional and int(value) >= MIN_ROWS:
-        return {"depth": replace(depth, rows=int(value))}
-    if parameter in WITHOUT_NETWORK and depth.strategy.model_is_optional:
-        return {"depth": replace(depth, **WITHOUT_NETWORK[parameter])}
-    if key in ("prior", "prior-kind") and depth.strategy.model_is_optional:
-        return {"depth": _with_prior(depth, key, value)}
     if parameter == TOUR_PARAMETER and config.estimates_depth:
         return {"is_in_tour": True}
-    return PLAIN_PARAMETERS.get(parameter, {})
-
-
-def _with_prior(depth: DepthSource, key: str, value: str) -> DepthSource:
-    """A source with another depth prior, or that of another kind. InputError: there is none."""
+    if not depth.strategy.model_is_optional:
+        return PLAIN_PARAMETERS.get(parameter, {})
+    if key == "rows" and int(value) >= MIN_ROWS:
+        return {"depth": replace(depth, rows=int(value))}
+    if parameter in WITHOUT_NETWORK:
+        return {"depth": replace(depth, **WITHOUT_NETWORK[parameter])}
+    if key == "prior" and (value.endswith(".onnx") or SIMULATED_PRIOR.fullmatch(value)):
+        return {"depth": replace(depth, prior=value)}
     if key == "prior-kind":
         NetworkKind.from_words(words := value.replace("+", ","))
-        return replace(depth, prior_kind=words)
-    is_simulated = SIMULATED_PRIOR.fullmatch(value) is not None
-    prior, words = (value, "") if is_simulated else find_prior(value, depth.prior_kind)
-    return replace(depth, prior=prior, prior_kind=words)
+        return {"depth": replace(depth, prior_kind=words)}
+    return PLAIN_PARAMETERS.get(parameter, {})
 
 
 # What ``all`` stands for, by name.
@@ -335,17 +326,6 @@ PHOTOGRAPH_METHODS = (
     "crossfade", "flow", "matching:nadir=auto", f"omnisyn-{DEFAULT_PRESET}:nadir=auto",
     f"omnisyn-{DEFAULT_PRESET}:fallback=soft:nadir=auto",
 )  # fmt: skip
-
-
-def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
-    """Each method and, where it looks for depth, the same in a tour."""
-    asked = dict.fromkeys(
-        name
-        for method in methods
-        for name in (method.name, f"{method.name}:{TOUR_PARAMETER}")
-        if name == method.name or (method.config.estimates_depth and not method.is_in_tour)
-    )
-    return [find_method(name) for name in asked]
 
 
 def find_methods(text: str) -> list[ComparedMethod]:
