@@ -77,6 +77,7 @@ def xmp(path: Path) -> str:
 
 def test_tags_go_beside_and_change_nothing_else(lost: list[Path], omnisyn: Omnisyn) -> None:
     before = [path.read_bytes() for path in lost]
+    assert omnisyn.made("tag", "--check", *lost).out.count("flat, as nothing says") == 2
     assert omnisyn.quiet("tag", *lost).out.count("tagged as 360°") == 2
     assert [path.read_bytes() for path in lost] == before
     video, picture = tagged = [path.with_stem("lost-360") for path in lost]
@@ -87,10 +88,9 @@ def test_tags_go_beside_and_change_nothing_else(lost: list[Path], omnisyn: Omnis
     assert picture.read_bytes().endswith(before[1][before[1].index(b"\xff\xda") :])
     for word in ('ProjectionType="equirectangular"', 'FullPanoWidthPixels="64"', 'CroppedAreaTopPixels="0"'):
         assert word in xmp(picture)
-    of_video, of_picture = omnisyn.json("info", *tagged)
-    assert of_video["spherical"]["version_1"]
-    assert of_video["spherical"]["version_2"]
-    assert of_picture["gpano"]["ProjectionType"] == "equirectangular"
+    said = omnisyn.json("tag", "--check", *tagged)
+    assert [each["tags"] for each in said] == [["version 1", "version 2"], ["GPano"]]
+    assert all(each["players"][0].partition(": ")[2] in ("360°", "360°, mono") for each in said)
     assert "got one that exists" in omnisyn.refused("tag", lost[0])
     omnisyn.quiet("tag", *lost, "--in-place", "-q")
     assert [path.read_bytes() for path in lost] == [path.read_bytes() for path in tagged]
@@ -107,4 +107,4 @@ def test_what_would_be_distorted_or_cannot_be_tagged_is_refused(lost: list[Path]
     omnisyn.quiet("tag", picture, "--hfov", 360)
     assert 'CroppedAreaTopPixels="6"' in xmp(picture.with_stem("lost-360"))
     omnisyn.quiet("tag", video, "--stereo", "top-bottom", "--allow-aspect")
-    assert read_spherical(video.with_stem("lost-360")).stereo_mode == "top-bottom"
+    assert "distorted" in omnisyn.made("tag", "--check", video.with_stem("lost-360")).out

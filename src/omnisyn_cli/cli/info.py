@@ -1,6 +1,7 @@
 """``omnisyn info``: what the program sees in a file, before anything is done with it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +48,17 @@ def info(
 
     reading = Reading(**{name: options[name] for name in ("upper_half", "hfov", "vfov", "horizon")})
     limits: dict[str, Any] = {"max_pixels": max_pixels or MAX_PIXELS, "allow_outside": allow_outside}
-    descriptions: list[dict[str, Any]] = []
-    for path in files:
-        try:
-            found = describe_file(path, reading=reading, **limits)
-            descriptions.append({"file": str(path), "ok": found.get("usable", True), **found})
-        except OmnisynError as error:
-            descriptions.append({"file": str(path), "ok": False, "error": str(error)})
+    describe = partial(describe_file, reading=reading, **limits)
+    descriptions = show_described(context, files, describe, as_json=as_json)
+    if report is not None:
+        _report(descriptions, report, **limits, **options)
+
+
+def show_described(
+    context: click.Context, files: Iterable[Path], describe: Callable[[Path], dict[str, Any]], *, as_json: bool
+) -> list[dict[str, Any]]:
+    """Print what is said of every file; the command ends where one cannot be used."""
+    descriptions = [_description(path, describe) for path in files]
     if as_json:
         print_json(descriptions)
     else:
@@ -61,8 +66,7 @@ def info(
             _show(description)
     if not all(description["ok"] for description in descriptions):
         context.exit(EXIT_INPUT)
-    if report is not None:
-        _report(descriptions, report, **limits, **options)
+    return descriptions
 
 
 def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) -> None:

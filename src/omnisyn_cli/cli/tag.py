@@ -5,7 +5,8 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.options import part_options, quiet_option
+from omnisyn_cli.cli.info import show_described
+from omnisyn_cli.cli.options import json_option, part_options, quiet_option
 from omnisyn_cli.cli.parameters import FilePath
 from omnisyn_cli.cli.terminal import say
 
@@ -22,25 +23,32 @@ from omnisyn_cli.cli.terminal import say
 )  # fmt: skip
 @part_options
 @click.option("--allow-aspect", is_flag=True, help="Accept files that are not 2:1 for each eye.")
+@click.option("--check", is_flag=True, help="Say what is in the files and what players make of them; write nothing.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@json_option("with --check what is said")
 @quiet_option
+@click.pass_context
 def tag(
-    *, files: tuple[Path, ...], output: Path | None, in_place: bool, stereo: str, allow_aspect: bool, overwrite: bool,
-    quiet: bool, **part: Any,
+    context: click.Context, /, *, files: tuple[Path, ...], output: Path | None, in_place: bool, stereo: str,
+    allow_aspect: bool, check: bool, overwrite: bool, as_json: bool, quiet: bool, **part: Any,
 ) -> None:  # fmt: skip
     """Write 360° metadata into videos and pictures that lost it when they were cut or edited.
 
     \b
     omnisyn tag edited.mp4
+    omnisyn tag --check edited.mp4 retouched.jpg
     omnisyn tag retouched.jpg --in-place
     omnisyn tag both-eyes.mp4 --stereo top-bottom -o headset.mp4
 
     MP4 and MOV get spherical metadata of both versions, JPEG gets GPano tags. Nothing is encoded again: picture and
-    sound stay as they are, to the byte. `omnisyn info` shows what a file has.
+    sound stay as they are, to the byte.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io.placement import Reading
-    from omnisyn_cli.io.tagging import check_taggable, write_tags
+    from omnisyn_cli.io.tagging import check_taggable, described_tags, write_tags
 
+    if check:
+        show_described(context, files, described_tags, as_json=as_json)
+        return
     reading = Reading(**part)
     targets = list(files) if in_place else _targets(files, output, overwrite)
     for file in files:

@@ -62,6 +62,12 @@ class SphericalMetadata:
     software: str | None = None  # who wrote the metadata
     size: tuple[int, int] = (0, 0)  # height and width of the video
 
+    @property
+    def versions(self) -> list[str]:
+        """The versions that are there, in words."""
+        found = ((1, self.has_version_1), (2, self.has_version_2))
+        return [f"version {number}" for number, is_there in found if is_there]
+
 
 def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | None = "mono") -> None:
     """Copy an MP4 or MOV file with its video tracks tagged as equirectangular panoramas, both versions.
