@@ -30,7 +30,7 @@ FILE_MODULES = (
     "omnisyn_cli.io", "omnisyn_cli.compute.kernel_files", "omnisyn_cli.poses.file", "omnisyn_cli.poses.formats",
     "omnisyn_cli.poses.entries", "omnisyn_cli.poses.tour_file", "omnisyn_cli.runtime.models",
     "omnisyn_cli.runtime.monocular_session", "omnisyn_cli.training", "omnisyn_cli.evaluation",
-    "omnisyn_cli.interpolation.planning", "omnisyn_cli.batch",
+    "omnisyn_cli.interpolation.planning", "omnisyn_cli.interpolation.added_models", "omnisyn_cli.batch",
 )  # fmt: skip
 # Parts of the standard library that a command may import at its top.
 LIGHT = {

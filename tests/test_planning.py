@@ -94,7 +94,7 @@ REFUSED = {
     "a model that is not there": ({"model": "some.onnx"}, InputError, "found none"),
     "a model for matching": ({"depth": "matching", "model": "some.onnx"}, InputError, "only for depth refined or"),
     "a prior that is not there": ({"depth_prior": "some.onnx"}, InputError, "found none"),
-    "a prior that is no file": ({"depth_prior": "nonsense"}, InputError, "or none as --depth-prior"),
+    "a prior that is no file": ({"depth_prior": "nonsense"}, InputError, "one of none.* as --depth-prior"),
     "a prior for matching": ({"depth": "matching", "depth_prior": "none"}, InputError, "with refined depth only"),
     "a prior of no kind": ({"depth_prior": "none", "depth_prior_kind": "cube"}, InputError, "separated by commas"),
     "a kind of nothing": ({"depth_prior_kind": "depth"}, InputError, "--depth-prior with --depth-prior-kind"),

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from batch_samples import SIZE, InlineExecutor, contents, line, records, write_lines, write_row
+from tests.runtime.test_monocular_session import network
 
 from omnisyn_cli.batch import batch_runner as batch_module
 from omnisyn_cli.batch import interpolations, provenance
@@ -25,6 +26,7 @@ from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.errors import InputError, OutputPathError, WriteError
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation.added_models import add_model
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
@@ -111,6 +113,20 @@ def test_records_tell_nothing_about_the_machine(tmp_path):
     assert (len(batch(moved, *lines).kept), len(records(moved / "out"))) == (1, 3)
     batch(moved, lines[1], record_host=True, retry_failed=True)
     assert records(moved / "out")[-1]["worker"] == f"{platform.node()}:{os.getpid()}"
+
+
+def test_an_added_network_is_recorded_by_its_digest(tmp_path, monkeypatch):
+    """It lies elsewhere on every machine."""
+    for name in ("XDG_DATA_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    entry = add_model(network(tmp_path / "own.onnx"), "mine")
+    write_row(tmp_path, 2)
+    (job,) = read_manifest(write_lines(tmp_path / "jobs.jsonl", [line(0, 1, depth_prior="mine")])).jobs
+    sources = provenance.job_sources(job)
+    assert (sources["options"]["depth_prior"], sources["models"][entry.file]) == ("mine", entry.sha256)
+    assert str(tmp_path) not in json.dumps(sources)
+    path = str(models.added_models_folder() / entry.file)
+    assert provenance.digest_of_network(path, sources, job) == entry.sha256
 
 
 def test_shared_panoramas_are_decoded_and_their_depth_found_once(tmp_path, monkeypatch):

@@ -2,17 +2,29 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from tests.runtime.test_monocular_session import network
 
-from cli.cli_samples import Omnisyn, pair_arguments, write_pair
+from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
 from omnisyn_cli.cli.models import models
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.presets import PRESETS
-from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, manifest_text, models_folder, read_manifest, sha256_of
+from omnisyn_cli.runtime.models import (
+    MANIFEST,
+    ModelEntry,
+    added_models_folder,
+    find_model,
+    manifest_text,
+    models_folder,
+    read_manifest,
+    sha256_of,
+)
 from omnisyn_cli.training.checkpoint import save_checkpoint
 from omnisyn_cli.training.tasks import TASKS
 
@@ -76,6 +88,55 @@ def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
 
 def test_an_empty_folder_says_how_models_are_made(tmp_path):
     assert "export-onnx" in CliRunner().invoke(models, [str(tmp_path)]).output
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A depth network of the user's, whose folders are empty."""
+    for name in ("XDG_DATA_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    return network(tmp_path / "own.onnx")
+
+
+def test_a_network_of_ones_own_is_kept_used_by_its_name_and_removed(tmp_path, own, omnisyn) -> None:
+    use = pair_arguments(tmp_path, write_pair(tmp_path), "out.mp4", "--depth-prior", "mine", "--dry-run")
+    added = omnisyn.quiet("models", "add", own, "--name", "mine", "--kind", "panorama,depth").out
+    own.unlink()
+    lines = omnisyn.quiet("models").out.splitlines()
+    assert added.strip() == lines[-1] == "for interpolate: --depth-prior mine"
+    assert ["mine", "depth-prior", "32x16", "0", "-", "yours,", "panorama,depth"] in [line.split() for line in lines]
+    assert omnisyn.json(*use)["depth_prior"] == "mine"
+    for more, kind in (("", "panorama,depth"), (":prior-kind=depth", "depth")):
+        assert find_method(f"omnisyn-fast:prior=mine{more}").config.depth.prior_kind == kind
+    (file,) = added_models_folder().glob("*.onnx")
+    file.write_bytes(b"another network")
+    assert "add it again" in omnisyn.refused(*use)
+    omnisyn.quiet("models", "remove", "mine")
+    assert "expected an .onnx file or one of none as --depth-prior, got 'mine'" in omnisyn.refused(*use)
+    assert "none was added" in omnisyn.refused("models", "remove", "mine")
+    assert [path.name for path in added_models_folder().iterdir()] == ["manifest.toml"]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "reason"),
+    [("none", {}, "of letters"), ("a/b", {}, "of letters"), ("depth-guided", {}, "bundled"), ("tests", {}, "a file"),
+     ("mine", {"inputs": 2}, "one picture"), ("mine", {"constant": np.full((1, 1, 16, 32), 3.0)}, "that varies")],
+)  # fmt: skip
+def test_what_could_not_be_used_is_not_added(own, omnisyn, monkeypatch, name, settings, reason) -> None:
+    monkeypatch.chdir(Path(__file__).parents[2])
+    assert reason in omnisyn.refused("models", "add", network(own, **settings), "--name", name)
+
+
+def test_a_network_is_replaced_on_demand_only(own, omnisyn) -> None:
+    words = ("models", "add", own, "--name", "mine")
+    omnisyn.quiet(*words)
+    before = listing(added_models_folder())
+    network(own, nodes=[("ReduceMax", {"axes": [1]})])
+    assert "got 'mine', which is taken" in omnisyn.refused(*words)
+    assert listing(added_models_folder()) == before
+    omnisyn.quiet(*words, "--overwrite")
+    assert len(before) == len(listing(added_models_folder())) == 2
+    assert sha256_of(find_model("mine", added_models_folder())) == sha256_of(own)
 
 
 def write_checkpoint(path: Path) -> None:

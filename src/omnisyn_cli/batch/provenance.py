@@ -17,7 +17,14 @@ from omnisyn_cli.interpolation.configs import video_config
 from omnisyn_cli.interpolation.job import INPUT_FILES, INPUT_LISTS
 from omnisyn_cli.io.outputs import relative_name
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest, sha256_of
+from omnisyn_cli.runtime.models import (
+    MANIFEST,
+    ModelEntry,
+    added_models_folder,
+    models_folder,
+    read_manifest,
+    sha256_of,
+)
 
 FileStamp = tuple[str, int, int]
 
@@ -63,7 +70,11 @@ def has_same_sources(job: BatchJob, recorded: Any) -> bool:
 def digest_of_network(name: str, sources: Mapping[str, Any], job: BatchJob) -> str | None:
     """The digest of a network, by its name or path, in what :func:`job_sources` says of a job that uses it."""
     files, models = sources["files"], sources["models"]
-    known = files.get(relative_name(Path(name), job.folder), {}).get("sha256") if _is_path(name) else models.get(name)
+    known = (
+        files.get(relative_name(Path(name), job.folder), {}).get("sha256")
+        if _is_path(name)
+        else models.get(Path(name).name)
+    )
     return None if known is None else str(known)
 
 
@@ -74,7 +85,7 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     """
     entries = _entries(job)
     networks = _networks(job, entries)
-    named = [name for name in networks if not _is_path(name)]
+    named = [Path(name).name for name in networks if not _is_path(name)]
     installed = _installed() if named else {}
     options = dict(job.options)
     for key in options.keys() & {*INPUT_LISTS}:
@@ -104,17 +115,20 @@ def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...
 
 
 def _is_path(network: str) -> bool:
-    return network.endswith(".onnx")
+    return network.endswith(".onnx") and Path(network).parent != added_models_folder()
 
 
 def _installed() -> Mapping[str, ModelEntry]:
-    """The networks of the program by name, which are compared with the manifest when they are loaded."""
-    with suppress(OmnisynError, OSError):
-        return _manifest(file_stamp(models_folder() / MANIFEST))
-    return {}
+    """The networks of the program and added ones, by name or file; these are compared with it when they are loaded."""
+    found: dict[str, ModelEntry] = {}
+    for folder in (models_folder(), added_models_folder()):
+        with suppress(OmnisynError, OSError):
+            entries = _manifest(file_stamp(folder / MANIFEST))
+            found |= {**entries, **{entry.file: entry for entry in entries.values()}}
+    return found
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _manifest(stamp: FileStamp) -> Mapping[str, ModelEntry]:
     return read_manifest(Path(stamp[0]).parent)
 

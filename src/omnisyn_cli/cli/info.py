@@ -12,7 +12,6 @@ from omnisyn_cli.cli.options import preset_option, reading_options, scale_option
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import leftover_notes, shown_stages
 from omnisyn_cli.cli.terminal import print_json, say
-from omnisyn_cli.errors import OmnisynError
 
 
 @click.command()
@@ -91,6 +90,16 @@ def _report(descriptions: list[dict[str, Any]], report: Path, **options: Any) ->
         for note in plan.notes:
             stages.note(f"note: {note}")
     say(f"{report}: a page about {len(plan.entries)} panoramas", err=True)
+
+
+def _description(path: Path, describe: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
+    from omnisyn_cli.errors import OmnisynError
+
+    try:
+        description = describe(path)
+    except OmnisynError as error:
+        return {"file": str(path), "ok": False, "error": str(error)}
+    return {"file": str(path), "ok": description.get("usable", True), **description}
 
 
 def _show(description: dict[str, Any]) -> None:

@@ -1,13 +1,15 @@
-"""``omnisyn models`` and ``export-onnx``: networks as a table, and a checkpoint as one."""
+"""``omnisyn models`` and ``export-onnx``: networks as a table, those of users added, and a checkpoint as one."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.help import PlainGroup
 from omnisyn_cli.cli.parameters import FILE, FOLDER, FilePath
 from omnisyn_cli.cli.terminal import print_json, say
 from omnisyn_cli.errors import InputError
@@ -19,39 +21,94 @@ if TYPE_CHECKING:
 HEADER = ("name", "role", "size", "parameters", "hours", "purpose")  # columns of the table of networks
 
 
-@click.command()
+class ListingGroup(PlainGroup):
+    """A group that lists networks unless another of its commands is named."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """What click makes of the words, with the name of a command before them."""
+        return super().parse_args(
+            ctx, args if args and args[0] in {*self.commands, "-h", "--help"} else ["list", *args]
+        )
+
+
+@click.group(cls=ListingGroup)
+def models() -> None:
+    """List the bundled networks and yours; keep depth networks of yours under a name.
+
+    \b
+    omnisyn models
+    omnisyn models add network.onnx --name mine --kind perspective,depth
+    omnisyn interpolate a.jpg b.jpg --poses auto --depth-prior mine
+    """  # noqa: D301 - click's \b is a backspace
+
+
+@models.command("list")
 @click.argument("folder", required=False, type=FilePath())
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-def models(folder: Path | None, as_json: bool) -> None:
-    """List the networks in FOLDER (default: the bundled ones) and check their files.
+def list_models(folder: Path | None, as_json: bool) -> None:
+    """List the networks in FOLDER (default: the bundled ones and yours) and check their files. `list` may be left out.
 
     The last lines list the networks for `interpolate`. Hours are training time, mostly on one processor core.
     --json also prints the training data, licences, hashes and held-out figures.
     """
     from dataclasses import asdict
 
-    from omnisyn_cli.runtime.models import find_model, read_manifest
+    from omnisyn_cli.runtime.models import added_models_folder, find_model, read_manifest
 
     if folder is not None and not os.path.isdir(folder):  # noqa: PTH112 - which raises nothing, whatever the name
         raise InputError(f"{folder}: expected a folder of models, got none; check the name")
-    entries = list(read_manifest(folder).values())
-    for entry in entries:
-        find_model(entry.name, folder)
+    entries = []
+    for place in (None, added_models_folder()) if folder is None else (folder,):
+        for name, entry in read_manifest(place).items():
+            find_model(name, place)
+            entries.append(entry)
     if as_json:
         print_json([asdict(entry) for entry in entries])
         return
     if not entries:
         say("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
         return
-    rows = [HEADER, *map(_row, entries)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:  # the width of a terminal crops nothing
-        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    for line in _table([HEADER, *map(_row, entries)]):
+        say(line)
+    for choice in _choices(entries, folder):
+        say(f"for interpolate: {choice}")
+
+
+@models.command()
+@click.argument("path", metavar="FILE.onnx", type=FilePath())
+@click.option("--name", required=True, help="Its name for --depth-prior.")
+@click.option("--kind", "words", metavar="WORDS", default="", show_default=False, help="As of --depth-prior-kind.")
+@click.option("--overwrite", is_flag=True, help="Replace your network of the same name.")
+def add(path: Path, **options: Any) -> None:
+    """Keep a copy of your depth network, for --depth-prior NAME, in your folder for data.
+
+    It is asked once before, so that what --depth-prior would refuse is refused now. Where it is used, a file that has
+    changed since is refused. See docs/depth-prior.md.
+    """
+    from omnisyn_cli.interpolation.added_models import add_model
+
+    say(f"for interpolate: --depth-prior {add_model(path, **options).name}")
+
+
+@models.command()
+@click.argument("name")
+def remove(name: str) -> None:
+    """Remove a network that you have added; your own file stays."""
+    from omnisyn_cli.interpolation.added_models import remove_model
+
+    remove_model(name)
+
+
+def _choices(entries: Iterable[ModelEntry], folder: Path | None) -> Iterator[str]:
+    """How networks are chosen, by their names or paths, with the source of depth that each belongs to."""
+    from omnisyn_cli.runtime.models import ADDED_ROLE
+
     sources = {source.role: source.name for source in DEPTH_SOURCES.values() if source.role}
     for entry in entries:
         if entry.role in sources:
-            network = entry.name if folder is None else folder / entry.file
-            say(f"for interpolate: --depth {sources[entry.role]} --model {network}")
+            yield f"--depth {sources[entry.role]} --model {entry.name if folder is None else folder / entry.file}"
+        if entry.role == ADDED_ROLE:
+            yield f"--depth-prior {entry.name}"
 
 
 def _row(entry: ModelEntry) -> tuple[str, ...]:
@@ -59,6 +116,13 @@ def _row(entry: ModelEntry) -> tuple[str, ...]:
     counted = f"{count / 1e6:.1f} million" if count >= 1e5 else f"{count:,}"
     hours = f"{entry.hours:g}" if entry.hours else "-"
     return entry.name, entry.role, f"{width}x{height}", counted, hours, entry.purpose
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Lines with aligned columns; the width of a terminal crops nothing."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 @click.command("export-onnx")

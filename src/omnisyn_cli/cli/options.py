@@ -115,9 +115,9 @@ depth_options = all_of(  # where depth comes from
         "--model", metavar="NAME|PATH", help="Network for the depth, see `omnisyn models`.  [default: the preset's]"
     ),
     click.option(
-        "--depth-prior", metavar="FILE|none",
-        help="Your own depth network as an ONNX file, asked where matching leaves much open (docs/depth-prior.md).  "
-        "[default: the preset's]",
+        "--depth-prior", metavar="FILE|NAME|none",
+        help="Your own depth network, asked where matching leaves much open (docs/depth-prior.md): an ONNX file or one "
+        "of `omnisyn models`.  [default: the preset's]",
     ),
     click.option(
         "--depth-prior-kind", metavar="WORDS", default="", show_default=False,

@@ -31,7 +31,7 @@ from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
-from omnisyn_cli.runtime.models import read_manifest, sha256_of
+from omnisyn_cli.runtime.models import find_prior, read_manifest, sha256_of
 from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.stereo.monocular_prior import with_monocular_priors
 from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
@@ -277,7 +277,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     if not changes:
         raise InputError(
             f"expected cut=0.05, metres=2, depth=512x256, renderer=points|two-pass, {', '.join(PLAIN_PARAMETERS)}, "
-            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx, "
+            f"model=FILE.onnx, {', '.join(('rows=1024', *WITHOUT_NETWORK))}, prior=FILE.onnx|NAME, "
             f"prior-kind=perspective+depth, prior=simulated(0.1) (where a network refines matching) or "
             f"{TOUR_PARAMETER} (where depth is estimated) after the colon, got {parameter!r} in {name!r}"
         )
@@ -301,20 +301,25 @@ def _changes(config: RunConfig, parameter: str) -> Mapping[str, Any]:
         return {"depth_size": (height, width)} if width == 2 * height > 0 else {}
     if key == "model" and value.endswith(".onnx") and depth.strategy.role is not None:
         return {"depth": replace(depth, model=value)}
+    if key == "rows" and depth.strategy.model_is_optional and int(value) >= MIN_ROWS:
+        return {"depth": replace(depth, rows=int(value))}
+    if parameter in WITHOUT_NETWORK and depth.strategy.model_is_optional:
+        return {"depth": replace(depth, **WITHOUT_NETWORK[parameter])}
+    if key in ("prior", "prior-kind") and depth.strategy.model_is_optional:
+        return {"depth": _with_prior(depth, key, value)}
     if parameter == TOUR_PARAMETER and config.estimates_depth:
         return {"is_in_tour": True}
-    if not depth.strategy.model_is_optional:
-        return PLAIN_PARAMETERS.get(parameter, {})
-    if key == "rows" and int(value) >= MIN_ROWS:
-        return {"depth": replace(depth, rows=int(value))}
-    if parameter in WITHOUT_NETWORK:
-        return {"depth": replace(depth, **WITHOUT_NETWORK[parameter])}
-    if key == "prior" and (value.endswith(".onnx") or SIMULATED_PRIOR.fullmatch(value)):
-        return {"depth": replace(depth, prior=value)}
+    return PLAIN_PARAMETERS.get(parameter, {})
+
+
+def _with_prior(depth: DepthSource, key: str, value: str) -> DepthSource:
+    """A source with another depth prior, or that of another kind. InputError: there is none."""
     if key == "prior-kind":
         NetworkKind.from_words(words := value.replace("+", ","))
-        return {"depth": replace(depth, prior_kind=words)}
-    return PLAIN_PARAMETERS.get(parameter, {})
+        return replace(depth, prior_kind=words)
+    is_simulated = SIMULATED_PRIOR.fullmatch(value) is not None
+    prior, words = (value, "") if is_simulated else find_prior(value, depth.prior_kind)
+    return replace(depth, prior=prior, prior_kind=words)
 
 
 # What ``all`` stands for, by name.

@@ -10,6 +10,7 @@ from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
 from omnisyn_cli.pipeline.methods import METHODS
 from omnisyn_cli.pipeline.presets import PRESETS, REPRODUCTIONS
 from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.runtime.models import find_prior
 from omnisyn_cli.runtime.monocular_session import NetworkKind
 from omnisyn_cli.runtime.session import providers
 
@@ -108,11 +109,7 @@ def _prior(job: TourJob, kind: str, defaults: RunConfig) -> tuple[str | None, st
     if not DEPTH_SOURCES[kind].model_is_optional:
         raise InputError(f"expected --depth-prior with refined depth only, got depth {kind!r}; leave one of them out")
     NetworkKind.from_words(job.depth_prior_kind)
-    if job.depth_prior == "none":
-        return None, ""
-    if not job.depth_prior.endswith(".onnx"):
-        raise InputError(f"expected an .onnx file or none as --depth-prior, got {job.depth_prior!r}; name the file")
-    return job.depth_prior, job.depth_prior_kind
+    return (None, "") if job.depth_prior == "none" else find_prior(job.depth_prior, job.depth_prior_kind)
 
 
 def check_device(config: RunConfig) -> None:

@@ -51,8 +51,8 @@ class TourJob:
         depth: one of :data:`omnisyn_cli.pipeline.depth_sources.DEPTH_SOURCES`, or ``auto``: files where every panorama
             has one, else what the preset says.
         model: the network of the depth: an ONNX file, or a name in the manifest; None is the preset's.
-        depth_prior: the monocular depth network of a panorama, an ONNX file, that says what to expect where matching
-            leaves much open, in place of the preset's; ``none`` for none.
+        depth_prior: the monocular depth network of a panorama, an ONNX file or the name of an added one, that says what
+            to expect where matching leaves much open, in place of the preset's; ``none`` for none.
         depth_prior_kind: what its file does not say, see :mod:`omnisyn_cli.runtime.monocular_session`.
         device: where networks run: ``auto``, ``cpu`` or ``cuda``. Poses and matching are found on the processor.
         cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.RunConfig`; at most one of

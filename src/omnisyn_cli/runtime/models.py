@@ -1,4 +1,4 @@
-"""The trained models that come with the program: a manifest, and files that are checked before they are used.
+"""The trained models that come with the program or that users added: manifests, and files checked before their use.
 
 ``models/manifest.toml`` has the version and for each model a table ``[[models]]`` with the keys of
 :class:`ModelEntry`.
@@ -6,6 +6,7 @@
 
 import hashlib
 import json
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -18,6 +19,7 @@ from omnisyn_cli.errors import InputError
 MANIFEST = "manifest.toml"  # name of the file beside the models
 MANIFEST_VERSION = 1  # counts up when older programs could not read it
 MAX_REASON_CHARS = 500  # characters of what a parser complains about
+ADDED_ROLE = "depth-prior"  # of models that users added: networks for `--depth-prior`
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class ModelEntry:
 
     name: str  # what `--model` takes
     role: str  # depth, fusion, …
-    variant: str  # of the network, such as paper-narrow
+    variant: str  # of the network, such as paper-narrow; of an added one what its file does not say
     file: str  # beside the manifest
     sha256: str
     size: tuple[int, int]  # rows and columns of the images it takes
@@ -46,6 +48,11 @@ def models_folder() -> Path:
     package = Path(__file__).resolve().parents[1]
     installed = package / "models"
     return installed if (installed / MANIFEST).is_file() else package.parents[1] / "models"
+
+
+def added_models_folder() -> Path:
+    """Where models lie that users added: ``omnisyn/models`` in their folder for data."""
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "omnisyn" / "models"
 
 
 def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
@@ -81,6 +88,23 @@ def manifest_text(entries: Mapping[str, ModelEntry]) -> str:
     return "\n".join([*lines, ""])
 
 
+def find_prior(name: str, words: str) -> tuple[str, str]:
+    """The file of a depth prior, given its path or the name that it was added by, and what the file does not say.
+
+    ``words`` say that, else those that it was added with. InputError: no such name, or another file than was added.
+    """
+    if name.endswith(".onnx"):
+        return name, words
+    folder = added_models_folder()
+    added = read_manifest(folder)
+    if name not in added:
+        raise InputError(
+            f"expected an .onnx file or one of {', '.join(('none', *added))} as --depth-prior, got {name!r}; name the "
+            "file, or add it (omnisyn models add)"
+        )
+    return str(find_model(name, folder)), words or added[name].variant
+
+
 def find_model(name: str, folder: Path | None = None, *, role: str | None = None) -> Path:
     """The file of a model of the manifest, verified by its sha256; or ``name`` itself if it is a path to a file.
 
@@ -91,7 +115,7 @@ def find_model(name: str, folder: Path | None = None, *, role: str | None = None
         if not Path(name).is_file():
             raise InputError(f"expected an ONNX file at {name}, found none; check the path")
         return Path(name)
-    remedy = "reinstall omnisyn-cli" if folder is None else "make it again"
+    remedy = "reinstall omnisyn-cli" if folder is None else "make or add it again"
     folder = folder or models_folder()
     entries = {k: entry for k, entry in read_manifest(folder).items() if role in (None, entry.role)}
     if name not in entries:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import secrets
 import sys
@@ -84,7 +85,7 @@ class MonocularSession:
         self._has_channels_first = shape[1] == 3
         sides = shape[2:] if self._has_channels_first else shape[1:3]
         self.size, self.is_panoramic = self._shape_of_pictures(sides)
-        _check_weights_inside(path)
+        self.parameters = _parameters(path)
         self._key = hashlib.sha256(f"{sha256_of(path)} {kind}".encode()).hexdigest()[:16]
 
     def _shape_of_pictures(self, sides: list[Any]) -> tuple[tuple[int, int], bool]:
@@ -186,8 +187,8 @@ def answers_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "omnisyn" / "answers"
 
 
-def _check_weights_inside(path: Path) -> None:
-    """Refuse (InputError) weights in another file, by which answers would have to be kept as well."""
+def _parameters(path: Path) -> int:
+    """How many a network has. InputError: they lie in another file, by which answers would have to be kept as well."""
     import onnx
 
     weights = onnx.load(path, load_external_data=False).graph.initializer
@@ -196,6 +197,7 @@ def _check_weights_inside(path: Path) -> None:
             f"{path}: expected a network with its weights in one file, got one with weights beside it; export it with "
             "external_data=False"
         )
+    return sum(math.prod(weight.dims) for weight in weights)
 
 
 def peak_memory() -> int | None:
