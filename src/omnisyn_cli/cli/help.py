@@ -12,7 +12,7 @@ from omnisyn_cli.cli.terminal import printable
 
 # Parameters of `interpolate`, `view` and `export` by section, in order; those not named here are under the last.
 SECTIONS: Mapping[str, str] = {
-    "Input": "poses baseline camera_height refine path every masks blur face_model nadir nadir_fill allow_aspect "
+    "Input": "poses baseline camera_height refine path every new masks blur face_model nadir nadir_fill allow_aspect "
     "upper_half hfov vfov horizon view_transform max_pixels allow_outside",
     "Output": "output frames duration fps size format texture lossless folder serve is_opened stride sky dome clips "
     "codec crf encoder_preset audio save_confidence save_depth save_frames views stereo overwrite",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from omnisyn_cli.interpolation.summary import TourSummary
+    from omnisyn_cli.interpolation.viewer.run import ViewJob
 
 LINUX_OPENER = "xdg-open"  # finds the browser, or, with many lines of its own, none
 OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long as the browser does
@@ -33,6 +34,11 @@ OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long a
     help="Maximum width of the photographs in the page.",
 )  # fmt: skip
 @click.option("--lossless", is_flag=True, help="Store photographs as PNG, several times as large as JPEG.")
+@click.option(
+    "--add", "new", metavar="NEW", multiple=True, type=FilePath(),
+    help="Place this panorama into the tour: an entry more in its pose file. May be repeated. With --folder, files of "
+    "other panoramas stay.",
+)  # fmt: skip
 @click.option("--folder", is_flag=True, help="Write a folder for a web server instead of one file of at most 32 MiB.")
 @click.option("--serve", is_flag=True, help="Serve the folder to browsers on this machine until Ctrl-C.")
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
@@ -46,7 +52,7 @@ OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long a
 @output_options
 def view(
     *, as_json: bool, dry_run: bool, quiet: bool, texture: int, lossless: bool,
-    folder: bool, serve: bool, is_opened: bool, **options: Any,
+    folder: bool, serve: bool, is_opened: bool, new: tuple[Path, ...], **options: Any,
 ) -> None:  # fmt: skip
     """Make an interactive page to walk through, from panorama A to B, and on through C and more.
 
@@ -54,6 +60,7 @@ def view(
     omnisyn view a.jpg b.jpg --poses auto --baseline 1.4 --open
     omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset balanced
     omnisyn view tour/ --folder --serve --open
+    omnisyn view tour/ --add tour/new.jpg --folder --overwrite
 
     FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
     it, in an order found from their matches.
@@ -68,8 +75,19 @@ def view(
     check_one_cut(options)
     if serve and not folder:
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
-    given = named(options, lambda: "-walk" if folder else ".html")
-    job = ViewJob(texture=texture, is_lossless=lossless, is_folder=folder, **given)
+    kinds: dict[str, Any] = {"texture": texture, "is_lossless": lossless, "is_folder": folder}
+
+    def job_of() -> ViewJob:
+        return ViewJob(**kinds, **named(options, lambda: "-walk" if folder else ".html"))
+
+    job = job_of()
+    if new:
+        if dry_run:
+            raise click.UsageError("expected --add without --dry-run, got both; leave one of them out")
+        _place(job, new, is_quiet=quiet)
+        if not options["images"][0].is_dir():
+            options["images"] = (*options["images"], *new)
+        job = job_of()
     made = run_job(job, plan_view, "viewer.run:run_view", _report, as_json=as_json, dry_run=dry_run, quiet=quiet)
     if made is None:
         return
@@ -77,6 +95,24 @@ def view(
         _serve(job.output, is_opened=is_opened, is_quiet=quiet)
     elif is_opened:
         _open(str((job.output / "index.html" if folder else job.output).absolute()))
+
+
+def _place(job: ViewJob, new: tuple[Path, ...], *, is_quiet: bool) -> None:
+    """Add panoramas to the pose file of a tour, after a look at whether the walk can be made."""
+    from dataclasses import replace
+
+    from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, picture_options
+    from omnisyn_cli.interpolation.viewer.run import plan_view
+    from omnisyn_cli.poses.addition import add_to_file
+    from omnisyn_cli.poses.file import read_poses
+
+    if job.poses == POSES_FROM_PICTURES or job.refine:
+        raise click.UsageError("expected --add with a pose file that stays, got --poses auto or --refine; leave it out")
+    plan_view(replace(job, masks=(), blur=()))
+    poses = read_poses(job.poses, allow_outside=job.allow_outside)
+    notes = add_to_file(job.images, new, poses, job.poses, picture_options(job))
+    for note in () if is_quiet else notes:
+        say(note, err=True)
 
 
 def _report(summary: TourSummary) -> None:
