@@ -182,6 +182,23 @@ def ecef_position(latitude: float, longitude: float, altitude: float) -> Float[n
     )
 
 
+def geographic_from_ecef(position: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    """Latitude and longitude in degrees and altitude in metres: the inverse of :func:`ecef_position` near the earth."""
+    x, y, z = position.tolist()
+    ring, phi = math.hypot(x, y), math.atan2(z, math.hypot(x, y))
+    for _ in range(8):  # each takes the error to a 150th of what it was
+        normal = SEMI_MAJOR_AXIS / math.sqrt(1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2)
+        phi = math.atan2(z + ECCENTRICITY_SQUARED * normal * math.sin(phi), ring)
+    altitude = ring * math.cos(phi) + z * math.sin(phi) - SEMI_MAJOR_AXIS**2 / normal
+    return math.degrees(phi), math.degrees(math.atan2(y, x)), altitude
+
+
+def enu_from_ecef(origin: tuple[float, float, float]) -> Pose:
+    """From earth-centred axes to the local ones of an origin: x east, y north, z up."""
+    axes = enu_axes(*origin[:2])
+    return Pose(axes, -axes @ ecef_position(*origin))
+
+
 def nearest_rotation(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     """The rotation closest to a matrix that is nearly one (orthogonal Procrustes)."""
     u, _, vt = np.linalg.svd(matrix)

@@ -22,15 +22,8 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.documents import listed, read_json, read_text
 from omnisyn_cli.poses.entries import checked_quaternion
-from omnisyn_cli.poses.formats.files import (
-    WORLD_UP,
-    ImportedPoses,
-    ImportedView,
-    ImportOptions,
-    find_image,
-    noted,
-    numbers,
-)
+from omnisyn_cli.poses.formats import files
+from omnisyn_cli.poses.formats.files import WORLD_UP, ImportedPoses, ImportedView, ImportOptions
 from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places, rotation_at
 
 # What a column may be called, in small letters; the first name that occurs wins.
@@ -80,7 +73,7 @@ def read_xyz(source: Path, options: ImportOptions) -> ImportedPoses:
         ),
         "positions: counted from the first panorama, as coordinates are large": start.any(),
     }
-    return ImportedPoses(tuple(views), (*noted(notes), *_table_notes(fields)))
+    return ImportedPoses(tuple(views), (*files.noted(notes), *_table_notes(fields)))
 
 
 def _named_rows(
@@ -95,7 +88,7 @@ def _named_rows(
             found = f"'{name}' twice" if name else "none"
             raise PoseError(f"{where}: expected the name of another image, got {found}; correct it")
         rows[name] = where, row
-        images[name] = find_image(where, name, [source.parent, source.parent / "images"], options)
+        images[name] = files.find_image(where, name, [source.parent, source.parent / "images"], options)
     if not rows:
         raise PoseError(f"{source}: expected at least one panorama, got none; check the file")
     return rows, images
@@ -114,7 +107,7 @@ def _metric_pose(where: str, row: Mapping[str, Any], options: ImportOptions) -> 
 
 
 def _numbers(where: str, row: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
-    return np.array([numbers(where, [str(row.get(name, ""))], 1, name)[0] for name in names])
+    return np.array([files.numbers(where, [str(row.get(name, ""))], 1, name)[0] for name in names])
 
 
 def _rows(source: Path, required: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -192,7 +185,7 @@ def _place_in_table(where: str, row: Mapping[str, Any]) -> Place:
 def _table_notes(rows: list[dict[str, Any]]) -> tuple[str, ...]:
     headings = [float(row["heading"]) for row in rows if "heading" in row and "qw" not in row]
     ignored = sorted({key for row in rows for key in row} - set(COLUMNS) - {"location"})
-    return noted(
+    return files.noted(
         {
             "angles: degrees; heading of the image centre clockwise from true north, pitch up, roll as in GPano": (
                 headings
