@@ -94,8 +94,8 @@ def test_refining_brings_three_degrees_back(seed):
     step = np.concatenate([unit(rng.normal(size=3)), unit(rng.normal(size=2))]) * np.radians(3.0)
     disturbed = retract(truth, step)
     assert rotation_error(disturbed, truth) == pytest.approx(np.radians(3.0))
-    refined = refine_pose(disturbed, matches, 10 * robust.inlier_threshold(matches))
-    refined = refine_pose(refined, matches, robust.inlier_threshold(matches))
+    refined = refine_pose(disturbed, matches, 10 * matches.tolerance)
+    refined = refine_pose(refined, matches, matches.tolerance)
     assert rotation_error(refined, truth) < np.radians(0.05)
     assert direction_error(refined, truth) < np.radians(0.3)
 

@@ -31,10 +31,10 @@ from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
-from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import relative_pose
-from omnisyn_cli.poses.registration.pose_graph import Edge
-from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.pose_graph import Edge, Given
+from omnisyn_cli.poses.registration.robust import Estimate, support_mask
 from omnisyn_cli.poses.registration.scan import (
     Scan,
     find_vertical,
@@ -149,12 +149,12 @@ def check_poses(
     options = options or PictureOptions()
     pictures = usable_pictures(images, options, [entry.mask for entry in entries])
     views = (
-        (View(resize_area(picture, FLOOR_SIZE), entry.pose, usable), find_features(picture, usable, options.threads))
-        for entry, (picture, usable) in zip(entries, pictures, strict=True)
+        (View(resize_area(image, FLOOR_SIZE), own.pose, usable), find_features(grey_of(image), usable, options.threads))
+        for own, (image, usable) in zip(entries, pictures, strict=True)
     )
     for (first, second), ((a, seen_by_a), (b, seen_by_b)) in zip(pairwise(images), pairwise(views), strict=True):
         matches = match_features(seen_by_a, seen_by_b)
-        fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
+        fits = support_mask(relative_pose(a.pose, b.pose), matches)
         yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits, (a, b))
 
 
@@ -234,9 +234,8 @@ def estimate_poses(
 
 
 def solve_pose_graph(
-    images: Sequence[Path], scans: Sequence[Scan], given: Mapping[tuple[int, int], float],
-    *, must_place_all: bool, is_ordered: bool,
-) -> PoseGraph:  # fmt: skip
+    images: Sequence[Path], scans: Sequence[Scan], given: Given, *, must_place_all: bool, is_ordered: bool
+) -> PoseGraph:
     """Rotations averaged over all pairs, positions from directions and lengths, then both adjusted to the matches."""
     matched, unused = _matched_edges(scans, is_ordered=is_ordered)
     rotations = pose_graph.average_rotations(matched, pose_graph.placed_panoramas(matched, len(images)))

@@ -14,13 +14,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.poses.registration import conventions, least_squares
 from omnisyn_cli.poses.registration.conventions import ConventionHypothesis
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import (
-    Estimate,
-    estimate_from_subset,
-    estimate_relative_pose,
-    inlier_threshold,
-    support_mask,
-)
+from omnisyn_cli.poses.registration.robust import Estimate, estimate_from_subset, estimate_relative_pose, support_mask
 
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
@@ -99,7 +93,7 @@ def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
     estimate = estimate_relative_pose(matches, known)
     if estimate is not None and known and not estimate.have_same_position:
         # Repeated things support opposite directions: if as many matches agree with the given one, it is not to blame.
-        supporting = support_mask(given_relative, matches, inlier_threshold(matches))
+        supporting = support_mask(given_relative, matches)
         is_opposite = _pose_errors(given_relative, estimate)[1] > math.radians(90.0)
         if is_opposite and supporting.sum() >= estimate.inliers.sum():
             estimate = estimate_from_subset(matches, supporting, known)
@@ -113,12 +107,12 @@ def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
 
 def _fit(first_from_second: Pose, estimate: Estimate, matches: Matches) -> Fit:
     """How well a relative pose fits, and how far it is from what was found."""
-    agreed, scale = matches.select(estimate.inliers), inlier_threshold(matches)
+    agreed = matches.select(estimate.inliers)
     return Fit(
         *_pose_errors(first_from_second, estimate),
         float(np.median(np.abs(least_squares.epipolar_residual(first_from_second, agreed)))),
-        float(np.mean(least_squares.is_in_front(first_from_second, agreed, scale))),
-        int(support_mask(first_from_second, matches, scale).sum()),
+        float(np.mean(least_squares.is_in_front(first_from_second, agreed, matches.tolerance))),
+        int(support_mask(first_from_second, matches).sum()),
     )
 
 
@@ -177,7 +171,7 @@ def _pose_errors(relative: Pose, estimate: Estimate) -> tuple[float, float]:
 def _improves(given: Pose, estimate: Estimate, matches: Matches) -> bool:
     if estimate.have_same_position or not given.position.any():
         return False
-    agreed = matches.select(estimate.inliers | support_mask(given, matches, inlier_threshold(matches)))
+    agreed = matches.select(estimate.inliers | support_mask(given, matches))
     noise = least_squares.noise_std(estimate.first_from_second, agreed)
     poses = (given, estimate.first_from_second)
     before, after = (least_squares.robust_chi_squared(pose, agreed, noise) for pose in poses)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_angle
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.robust import Estimate, support_mask
 
 # Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then.
 MIN_PARALLAX_PIXELS = 6.0
@@ -44,6 +44,9 @@ MIN_OTHER_MATCHES = 15
 
 Ratios = Mapping[tuple[int, int, int, int], tuple[float, int]]
 """Logarithm of the length of one pair over that of another, and how many points tell it, by their panoramas."""
+
+Given = Mapping[tuple[int, int], float]
+"""Distances that a user gave, by pairs of panoramas."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ def _support_of_others(edge: Edge, implied: Pose) -> int:
     if edge.others is None or length == 0.0:
         return 0
     pose = Pose(implied.rotation, implied.position / length)
-    count = int(support_mask(pose, edge.others, inlier_threshold(edge.others)).sum())
+    count = int(support_mask(pose, edge.others).sum())
     return count if count >= MIN_OTHER_MATCHES else 0
 
 
@@ -200,7 +203,7 @@ def length_ratios(edges: Sequence[Edge]) -> Ratios:
 
 
 def baseline_lengths(
-    edges: Sequence[Edge], given: Mapping[tuple[int, int], float], ratios: Ratios | None = None
+    edges: Sequence[Edge], given: Given, ratios: Ratios | None = None
 ) -> tuple[Float[np.ndarray, " edges"], Int[np.ndarray, " edges"]]:
     """The length of every pair's baseline, 0 where both stand in one place, and the scale that it is told in.
 
