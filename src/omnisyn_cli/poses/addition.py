@@ -24,10 +24,8 @@ def add_to_file(
 
     They are matched with those that look most like them, and these with each other. Where a new one is follows from
     those that match it, turned, scaled and moved to the poses that these have. Masks of the options are those of all,
-    the new ones last. What there is to say comes back.
-
-    Raises InputError: unusable images, or one named twice; PoseError: a new one has a pose, lies elsewhere than the
-    pose file, or does not match two panoramas at different places.
+    the new ones last. Notes come back. InputError: unusable images, or one named twice; PoseError: a new one has a
+    pose, lies in another folder, or does not match two panoramas at different places.
     """
     every = [*images, *new]
     check_images(every, may_repeat=False)

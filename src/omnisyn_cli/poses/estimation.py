@@ -140,8 +140,7 @@ def check_poses(
 ) -> Iterator[PairDiagnosis]:
     """Judge the poses of all neighbours, one after the other.
 
-    Raises InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used;
-    PoseError: no entry for one, or two of one name.
+    InputError: fewer than two panoramas, another number of masks, an unusable file; PoseError: not one entry each.
     """
     check_images(images)
     check_names_tell_apart(images, pose_file)
@@ -161,9 +160,8 @@ def check_poses(
 def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None) -> FoundPoses:
     """Correct rotation and direction of every panorama but the first where that makes the pictures fit better.
 
-    Distances between neighbours stay. A pair is left as it is where too few matches agree, where nothing is gained, and
-    where its poses contradict the pictures, which is a mistake to be found and not an inaccuracy. Later panoramas move
-    along with the earlier ones. InputError, PoseError: as :func:`check_poses`; also for a panorama that is named twice.
+    Distances between neighbours stay, and later panoramas move along. A pair stays where too few matches agree, nothing
+    is gained, or poses contradict the pictures (a mistake to be found). Errors: as :func:`check_poses`, and one twice.
     """
     check_images(images, may_repeat=False)
     entries, notes, changed = dict(pose_file.panoramas), [], 0
@@ -187,16 +185,13 @@ def estimate_poses(
 ) -> FoundPoses:  # fmt: skip
     """Find the poses of panoramas in the pictures.
 
-    The world is levelled by the vertical edges in them. The first panorama that is placed stands at the origin and
-    looks towards −z. Images are in walking order; with ``finds_order`` that is looked for as well, a short way along
-    pairs that match. With ``must_place_all`` panoramas that do not fit the others are refused, else left out and named.
+    Vertical edges level the world. The first panorama that is placed stands at the origin and looks towards −z. Images
+    are in walking order; with ``finds_order`` that is looked for as well, a short way along pairs that match. With
+    ``must_place_all`` panoramas that do not fit the others are refused, else left out and named.
 
-    Baselines are metres between neighbours: their mean, which is :data:`DEFAULT_BASELINE` without any, or one for each
-    pair. Ratios that are not given are those that points tell which several pairs share. ``camera_height``, metres
-    above the floor, stands in for baselines.
-
-    Raises InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks;
-    PoseError: too few matches, or no floor to measure the height from.
+    Baselines are metres between neighbours: their mean (:data:`DEFAULT_BASELINE` without any), or one for each pair.
+    Points that several pairs share tell other ratios. ``camera_height``, metres above the floor, stands in for
+    baselines. InputError: as there, or another number of baselines; PoseError: too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)

@@ -145,11 +145,9 @@ def notes_of_place(images: Iterable[Path], poses: Path) -> tuple[str, ...]:
 def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     """Read and check a pose file.
 
-    Geographic entries become metres east, up and −north of the first one, which is the origin. Neither images nor
-    depth and mask files are looked for.
-
-    With ``allow_outside`` depth and masks, or what they are links to, may lie outside of the file's folder.
-    PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
+    Geographic entries become metres east, up and −north of the first one, which is the origin. No other file is looked
+    for; with ``allow_outside`` depth and masks, or what they are links to, may lie outside of its folder. PoseError:
+    missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
     return _pose_file(source, read_json(source, "a pose file", MAX_FILE_BYTES), allow_outside)

@@ -103,10 +103,9 @@ def read_tour(
     """The tour through panoramas that have an entry in the pose file; ``path`` is ``tour.json``, if there is one.
 
     Links are those of ``tour.json``, else of the pose file, else they follow from the positions; with ``is_chain`` they
-    lead from every image to the next one instead. Links to panoramas that are not among the images are left out. The
-    file's own title replaces ``title``. With ``allow_outside`` its pictures may lie outside of its folder.
-
-    Raises PoseError: no JSON, an unknown key, name or panorama, a link to itself, a picture that is missing.
+    lead from every image to the next one. Others than the images are left out. The file's own title replaces ``title``.
+    PoseError: no JSON, an unknown key, name or panorama, a link to itself, a picture that is missing or, without
+    ``allow_outside``, outside.
     """
     document = _TourDocument(version=1) if path is None else validated(
         path, _TourDocument, read_json(path, "a tour file", MAX_FILE_BYTES), allow_outside=allow_outside

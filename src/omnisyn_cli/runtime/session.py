@@ -19,9 +19,8 @@ PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}  # 
 def open_session(path: Path, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
     """A session of the ONNX file at ``path``, with at most so many processor threads for one operation; None = all.
 
-    The device ``auto`` takes CUDA if this ONNX Runtime has it. A session keeps memory for the next run; one of a
-    network that seldom runs may give it back, and is a little slower.
-    Raises InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
+    ``auto`` takes CUDA if this ONNX Runtime has it. A session that gives its memory back after a run is a little
+    slower. InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
     """
     import onnxruntime
 

@@ -57,13 +57,11 @@ FORMAT_BY_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors", ".xml":
 
 
 def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptions) -> tuple[str, ImportedPoses]:
-    """Read poses of another program.
+    """Read poses of another program; the answer is the name of the format and what was read.
 
-    ``sources`` are one file or folder, or for ``exif`` any number of images; ``format_name`` is one of
-    :data:`IMPORT_FORMATS` or ``auto``. The answer is the format's name and what was read.
-
-    Raises PoseError: nothing known there, malformed, no folder of images, or an option that does not go with the
-    format; ImageError: an image (exif) that is none.
+    Sources are one file or folder, or for ``exif`` any number of images; ``format_name`` is one of
+    :data:`IMPORT_FORMATS` or ``auto``. PoseError: unknown or malformed, no folder of images, an unfit option;
+    ImageError: an image (exif) that is none.
     """
     chosen = detected_format(sources) if format_name == "auto" else format_name
     if chosen not in FORMATS:

@@ -145,9 +145,8 @@ def _scale_of(path: Path, transform: list[Row] | None) -> float:
 SPHERICAL_PROJECTIONS = frozenset({"spherical", "equirectangular"})
 MAX_ABSOLUTE = 1e9  # Radians or metres; more is a mistake, and its square might overflow
 
-Vector = Annotated[
-    list[Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]], Field(min_length=3, max_length=3)
-]  # fmt: skip
+Coordinate = Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]
+Vector = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 
 
 class Camera(ForeignModel):
@@ -257,10 +256,7 @@ def read_tour(path: Path) -> Tour:
 
 
 def pose_on_floor(panorama: Panorama, metres: float) -> Pose:
-    """The mirrored similarity: (x, y) of the floor is (−x, −z) of ours, counter-clockwise there is clockwise here.
-
-    A unit of the floor is ``metres`` long.
-    """
+    """The mirrored similarity, ``metres`` per unit: (x, y) there is (−x, −z) here, counter-clockwise is clockwise."""
     similarity = panorama.floor_plan_transformation
     x, y = similarity.translation
     height = panorama.camera_height * similarity.scale
@@ -269,10 +265,7 @@ def pose_on_floor(panorama: Panorama, metres: float) -> Pose:
 
 
 def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
-    """Poses of the panoramas of one floor of a ``zind_data.json``, or of its folder.
-
-    The world's y counts from the floor, x and z span the floor plan.
-    """
+    """Poses of one floor of a ``zind_data.json``, or of its folder; y counts from the floor, x and z span its plan."""
     path = source / ZIND_FILE_NAME if source.is_dir() else source
     tour = read_tour(path)
     floor = _floor(path, tour, options)

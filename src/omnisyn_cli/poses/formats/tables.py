@@ -185,15 +185,11 @@ def _place_in_table(where: str, row: Mapping[str, Any]) -> Place:
 def _table_notes(rows: list[dict[str, Any]]) -> tuple[str, ...]:
     headings = [float(row["heading"]) for row in rows if "heading" in row and "qw" not in row]
     ignored = sorted({key for row in rows for key in row} - set(COLUMNS) - {"location"})
-    return files.noted(
-        {
-            "angles: degrees; heading of the image centre clockwise from true north, pitch up, roll as in GPano": (
-                headings
-            ),
-            "headings: all within ±6.3, are they radians? they are taken as degrees": (
-                any(headings) and all(abs(heading) <= MAX_RADIAN_HEADING for heading in headings)
-            ),
-            altitudes_note("a street-view elevation"): any("altitude" in row for row in rows),
-            f"ignored: columns {listed(ignored, 8)}": ignored,
-        }
-    )
+    are_small = any(headings) and all(abs(heading) <= MAX_RADIAN_HEADING for heading in headings)
+    notes = {
+        "angles: degrees; heading of the image centre clockwise from true north, pitch up, roll as in GPano": headings,
+        "headings: all within ±6.3, are they radians? they are taken as degrees": are_small,
+        altitudes_note("a street-view elevation"): any("altitude" in row for row in rows),
+        f"ignored: columns {listed(ignored, 8)}": ignored,
+    }
+    return files.noted(notes)

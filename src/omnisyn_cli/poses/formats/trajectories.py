@@ -158,10 +158,9 @@ def read_authors(source: Path, options: ImportOptions) -> ImportedPoses:
 
     In the renderer of OmniSyn's authors a direction d of the reference view is looked up in panorama i along
     ``rotations[i] · d``, and ``translations[i]`` is the reference seen from panorama i, in the reference's axes: the
-    pose is ``rotationsᵀ`` and ``−translations``, with x right, y up, −z forward as here. Pickled arrays are refused.
-
-    Source: AugmentariumLab/omnisyn, ``data_readers/carla_reader.py`` (``calculate_rot_trans``) and
-    ``helpers/my_torch_helpers.py`` (``rotate_equirectangular_image``).
+    pose is ``rotationsᵀ`` and ``−translations``, with axes as here. Pickled arrays are refused. Source:
+    AugmentariumLab/omnisyn, ``carla_reader.py`` (``calculate_rot_trans``), ``my_torch_helpers.py``
+    (``rotate_equirectangular_image``).
     """
     folder = source if source.is_dir() else source.parent
     rotations, translations = files.read_array(folder / ROTATIONS), files.read_array(folder / TRANSLATIONS)

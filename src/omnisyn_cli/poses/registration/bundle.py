@@ -271,10 +271,7 @@ class Equations:
 
 
 def _tracks(point: np.ndarray, counts: Sequence[int]) -> Int[np.ndarray, " m"]:
-    """What each match is a view of: anchors that are matched with each other see the same thing.
-
-    Matches come by pair of panoramas, ``counts`` from the first one and as many from the second one.
-    """
+    """What each match is a view of, across matched anchors. They come by pair, ``counts`` from either end."""
     ends = np.cumsum(counts) * 2
     halves = [(range(end - 2 * n, end - n), range(end - n, end)) for end, n in zip(ends, counts, strict=True)]
     twin = np.concatenate([[*second, *first] for first, second in halves]).astype(int)

@@ -1,7 +1,4 @@
-"""Do the poses of two panoramas fit what they see, and if not, which convention hypothesis would explain it?
-
-The answer is also given in words, and as values for programs.
-"""
+"""Do the poses of two panoramas fit what they see, and if not, which hypothesis explains it: in words and as values."""
 
 import math
 from collections.abc import Iterable
@@ -198,10 +195,7 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def camera_height_sentence(height: float, found_baseline: float | None = None) -> str:
-    """What a height in metres above the floor says about the distances between cameras that it follows from.
-
-    ``found_baseline`` is the mean distance of neighbours that poses from the pictures were scaled to, if they were.
-    """
+    """What a height in metres says about distances, or about the mean that poses from pictures were scaled to."""
     doubt, advice = "", "are the distances in metres?"
     if found_baseline is not None:
         baseline = found_baseline * EXPECTED_CAMERA_HEIGHT / height

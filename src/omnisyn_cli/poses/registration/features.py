@@ -105,9 +105,7 @@ class Matches:
 
 
 def find_features(grey: Grey, usable: Usable = None, threads: int | None = None) -> Features:
-    """SIFT features of a :func:`grey_of` panorama, the strongest :data:`MAX_FEATURES` of them.
-
-    The result does not depend on the number of OpenCV's ``threads``.
+    """SIFT features of a :func:`grey_of` panorama, the strongest :data:`MAX_FEATURES`; ``threads`` change nothing.
 
     Source: Lowe, Distinctive image features from scale-invariant keypoints, 2004; descriptors as in Arandjelović and
     Zisserman, Three things everyone should know to improve object retrieval, 2012.
@@ -171,10 +169,7 @@ def band_table(size: tuple[int, int], axis: int) -> tuple[RemapTable, int, int]:
 
 
 def band_directions(size: tuple[int, int], latitude: float) -> tuple[Float[np.ndarray, "rows cols 3"], int, int]:
-    """Of pixels up to a latitude on both sides of the equator; the first row, and the columns repeated on both sides.
-
-    These are 22.5° wide, so that the seam has no features of its own.
-    """
+    """Of pixels up to a latitude; the first row; columns repeated on both sides, so that the seam has no features."""
     height, width = size
     edge, _ = angles_to_pixel(0.0, math.acos(math.sin(latitude)), size)
     top, wrap = max(math.floor(edge), 0), width // 16

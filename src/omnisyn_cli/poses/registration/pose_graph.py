@@ -98,12 +98,9 @@ def is_worthwhile(pair: tuple[int, int], edges: Sequence[Edge], count: int) -> b
 
 
 def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int, Float[np.ndarray, "3 3"]]:
-    """World-from-camera rotations; the first placed panorama has the identity.
+    """World-from-camera rotations, the identity first: along the strongest pairs, then the mean of all neighbours.
 
-    They start along the strongest pairs and then move to the mean of what all neighbours say. Pairs that contradict the
-    others lose their weight.
-
-    Source: Hartley et al., Rotation averaging, IJCV 2013 (chordal mean).
+    Pairs that contradict the others lose their weight. Source: Hartley et al., Rotation averaging, 2013 (chordal mean).
     """
     rotations = {placed[0]: np.eye(3)}
     edges = [edge for edge in edges if edge.first in placed]
@@ -257,10 +254,7 @@ def positions_of(
 
 
 def shortest_path(positions: Mapping[int, np.ndarray], edges: Sequence[Edge]) -> list[int]:
-    """All panoramas in an order for walking: a short way that prefers pairs whose pictures match.
-
-    The nearest one next, from the best start, and then stretches are turned round as long as that shortens the way.
-    """
+    """All panoramas in a short order that prefers matching pairs: the nearest next, from the best start; two-opt."""
     names = sorted(positions)
     places = np.stack([positions[name] for name in names])
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)

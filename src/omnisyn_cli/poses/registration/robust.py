@@ -107,10 +107,9 @@ def estimate_relative_pose(
 ) -> Estimate | None:
     """The relative pose that most matches agree with, or None if so many might agree by chance.
 
-    ``known`` are relative poses with a position of length 1 that compete with what is found. ``verticals`` guide the
-    search and make a pose that agrees with them more credible; no pose has to.
-
-    Source: Fischler and Bolles, Random sample consensus, 1981; Torr and Zisserman, MLESAC, 2000 (truncated squares).
+    ``known`` are poses with a position of length 1 that compete with what is found. ``verticals`` guide the search and
+    make a pose that agrees with them more credible. Source: Fischler and Bolles, Random sample consensus, 1981; Torr
+    and Zisserman, MLESAC, 2000 (truncated squares).
     """
     if len(matches) < MIN_MATCHES:
         return None
@@ -200,11 +199,9 @@ def _in_place(matches: Matches, rotation: np.ndarray, turned: np.ndarray) -> Est
 def log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None) -> float:
     """Decimal logarithm of the expected number of poses that as many of unrelated matches would agree with.
 
-    Of matches within :data:`DISTINCT_ANGLE` of each other one counts. A wrong match agrees as often as directions
-    that are paired at random: more often where all features lie near the horizon and the baseline too.
-
-    Source: Moisan and Stival, A probabilistic criterion to detect rigid point matches between two images and estimate
-    the fundamental matrix, IJCV 2004.
+    Of matches within :data:`DISTINCT_ANGLE` of each other one counts. A wrong match agrees as often as directions that
+    are paired at random: more often where features and baseline lie near the horizon. Source: Moisan and Stival, A
+    probabilistic criterion to detect rigid point matches between two images and estimate the fundamental matrix, 2004.
     """
     sample, solutions = _motion_kind(pose, verticals)
     residual = np.where(support_mask(pose, matches), np.abs(epipolar_residual(pose, matches)), math.inf)

@@ -65,10 +65,7 @@ class Vertical:
 
 
 def find_lines(grey: Grey, usable: Usable = None) -> Lines:
-    """Line segments of a panorama whose middles lie where it is usable; None is everywhere.
-
-    Source: Grompone von Gioi et al., LSD: a fast line segment detector with a false detection control, PAMI 2010.
-    """
+    """Line segments whose middles are usable. Source: Grompone von Gioi et al., LSD, PAMI 2010."""
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
     found, middles = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for face, rotation in enumerate(CAMERA_FROM_FACE):
@@ -101,10 +98,7 @@ def face_table(size: tuple[int, int], face: int) -> RemapTable:
 
 
 def find_vertical(lines: Lines, near: Float[np.ndarray, " 3"] = UP) -> Vertical:
-    """The direction within :data:`MAX_TILT` of ``near`` that most line segments point at, by their lengths.
-
-    ``near`` itself, and not certain, where there are too few.
-    """
+    """The direction within :data:`MAX_TILT` of ``near`` that most segments point at; else ``near``, uncertain."""
     length = np.linalg.norm(lines, axis=1)
     longest = np.argsort(-length, kind="stable")
     chosen = longest[np.abs(lines[longest] @ near) < math.sin(MAX_TILT) * length[longest]][:MAX_LINES]
