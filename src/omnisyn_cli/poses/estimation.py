@@ -35,14 +35,7 @@ from omnisyn_cli.poses.registration.features import Matches, find_features, grey
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import Edge, Given
 from omnisyn_cli.poses.registration.robust import Estimate, support_mask
-from omnisyn_cli.poses.registration.scan import (
-    Scan,
-    find_vertical,
-    forget_tables,
-    likeness,
-    register_pair,
-    scan_panorama,
-)
+from omnisyn_cli.poses.registration.scan import Scan, find_vertical, forget_tables, register_pair, scan_panorama
 from omnisyn_cli.poses.same_place import without_repeats
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
@@ -256,7 +249,7 @@ def solve_pose_graph(
 def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], Unused]:
     """Pairs whose relative pose is found, and why it is not found of others that were tried."""
     count, unused = len(scans), Unused()
-    alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
+    alike = {pair: scans[pair[0]].likeness(scans[pair[1]]) for pair in combinations(range(count), 2)}
     ranked = sorted(alike, key=lambda pair: (-alike[pair], pair))
     wanted = {pair for k in range(count) for pair in [p for p in ranked if k in p][:LIKE_PANORAMAS]}
     edges: list[Edge] = []
@@ -352,8 +345,7 @@ def _scale(
 def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]) -> tuple[float, float, str]:
     """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it.
 
-    Furniture may be all that a few pairs see, so matched points have to agree with them: many closely, or some with
-    none below. Pairs on stairs do not count.
+    Pairs may see furniture only: matched points have to agree, many closely, or some and none below. No stairs.
     """
     steps = [world[edge.second].position - world[edge.first].position for edge in edges]
     chosen = [edge for edge, step in zip(edges, steps, strict=True) if abs(step[1]) < MAX_CLIMB * np.hypot(*step[::2])]

@@ -81,8 +81,7 @@ class PoseFile:
     def name_of(self, image_path: Path | str) -> str:
         """What the file calls an image: its file name, or its path from some folder on, the longest that there is.
 
-        Letters with accents are the same in one character or in two, as file systems differ in that (NFC, NFD).
-        PoseError: no entry for it.
+        Accents are the same in one character or in two, as file systems differ in that (NFC, NFD). PoseError: no entry.
         """
         wanted = _same_letters(Path(image_path).absolute())
         parts = {known: _same_letters(Path(known)) for known in self.panoramas}

@@ -134,7 +134,6 @@ class _Source:
             raise PoseError(f"{path}: expected at most {MAX_HOTSPOTS:,} hotspots, got {count:,}; remove some")
 
     def panorama(self, name: str, image: Path) -> TourPanorama:
-        """One panorama with what is said of it."""
         posed, entry = self._poses.panoramas[name], self._entries.get(name, _PanoramaEntry())
         title, caption = (
             own if own is not None else given
@@ -181,7 +180,6 @@ class _Source:
         return StartView(name, yaw, math.radians(entry.pitch), fov)
 
     def plan(self) -> FloorPlan | None:
-        """The floor plan, or None."""
         entry = self._document.plan
         if entry is None:
             return None

@@ -66,7 +66,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
     path = source / "transforms.json" if source.is_dir() else source
     document = validated(path, Transforms, read_json(path))
     scale = document.applied_scale * _scale_of(path, document.applied_transform)
-    views, skipped, undeclared = [], [], False
+    views, skipped, undeclared, is_scaled = [], [], False, abs(scale - 1.0) > 1e-9
     for index, frame in enumerate(document.frames):
         model = frame.camera_model or document.camera_model
         undeclared |= model is None
@@ -93,9 +93,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
     notes = {
         "distances: nerfstudio promises no scale, they are taken as metres": True,
         "world: applied_transform is kept: z of the file's world is up": document.applied_transform is not None,
-        f"distances: divided by the applied scale {scale:.6g}, back to those of the file's own source": (
-            abs(scale - 1.0) > 1e-9
-        ),
+        f"distances: divided by the applied scale {scale:.6g}, back to those of the file's own source": is_scaled,
         "cameras: no camera_model, images are taken as equirectangular panoramas": undeclared,
         f"left out: {listed(skipped)}, whose camera_model is not EQUIRECTANGULAR": skipped,
     }

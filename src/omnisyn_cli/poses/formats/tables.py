@@ -38,6 +38,7 @@ COLUMNS = {
     **{axis: (axis, f"pano_pos_{axis}", f"pos_{axis}", f"position_{axis}", f"t{axis}") for axis in "xyz"},
     **{f"q{part}": (f"q{part}", f"pano_ori_{part}", f"ori_{part}", f"quat_{part}") for part in "wxyz"},
 }
+Rows = dict[str, tuple[str, dict[str, Any]]]  # place and fields of each, by the name of its image
 POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
 MAX_RADIAN_HEADING = 6.3  # Just above 2π: headings that all stay below may be radians
@@ -62,25 +63,21 @@ def read_xyz(source: Path, options: ImportOptions) -> ImportedPoses:
     rows, images = _named_rows(source, ("image", *POSITION), options)
     poses = {name: _metric_pose(where, row, options) for name, (where, row) in rows.items()}
     fields = [row for _, row in rows.values()]
-    have_quaternions = any({*QUATERNION} <= row.keys() for row in fields)
+    are_guessed = options.camera is None and any({*QUATERNION} <= row.keys() for row in fields)
     first = next(iter(poses.values())).position
     start = first if np.abs(first).max() > MAX_LOCAL_METRES else np.zeros(3)
     views = [ImportedView(name, Pose(p.rotation, p.position - start), images[name]) for name, p in poses.items()]
     notes = {
         "world: z is taken to point up, as surveyors have it; --up says otherwise": options.up is None,
-        "cameras: taken to have x forward, y left, z up, as NavVis has it; --camera-axes says otherwise": (
-            have_quaternions and options.camera is None
-        ),
+        "cameras: taken to have x forward, y left, z up, as NavVis has it; --camera-axes says otherwise": are_guessed,
         "positions: counted from the first panorama, as coordinates are large": start.any(),
     }
     return ImportedPoses(tuple(views), (*files.noted(notes), *_table_notes(fields)))
 
 
-def _named_rows(
-    source: Path, required: Sequence[str], options: ImportOptions
-) -> tuple[dict[str, tuple[str, dict[str, Any]]], dict[str, Path | None]]:
+def _named_rows(source: Path, required: Sequence[str], options: ImportOptions) -> tuple[Rows, dict[str, Path | None]]:
     """Place and fields of every row by the name of its image, and the images that were found."""
-    rows: dict[str, tuple[str, dict[str, Any]]] = {}
+    rows: Rows = {}
     images = {}
     for where, row in _rows(source, required):
         name = str(row.get("image", "")).strip()

@@ -212,12 +212,11 @@ def read_habitat(source: Path, options: ImportOptions) -> ImportedPoses:
         image, depth = _panorama(folder), folder / "depth.png"
         pose, name = habitat_pose(folder, options), f"{folder.name}/{image.name}"
         views.append(ImportedView(name, pose, image, depth if depth.is_file() else None))
+    are_turned = any(float(rotation_angle(view.pose.rotation)) > MIN_NOTED_ROTATION for view in views)
     notes = {
         "distances: metres": True,
         "depth: 16-bit millimetres along the ray, where there is a depth.png": True,
-        "rotations: rot.txt is read as camera-to-world, as PanSplat does": (
-            any(float(rotation_angle(view.pose.rotation)) > MIN_NOTED_ROTATION for view in views)
-        ),
+        "rotations: rot.txt is read as camera-to-world, as PanSplat does": are_turned,
     }
     return ImportedPoses(tuple(views), files.noted(notes))
 

@@ -234,8 +234,7 @@ class Equations:
     def covariance(self) -> Float[np.ndarray, "m m"]:
         """Of rotations and positions, where the matches of one cluster err together.
 
-        A length that only its former value tells is known within a factor. Where few clusters determine many numbers
-        their residuals are too small; the degrees of freedom make up for that.
+        A length that only its former value tells is known within a factor. Degrees of freedom make up for few clusters.
         """
         sizes = np.bincount(self.matches.cluster).astype(float)
         scores = np.zeros((len(sizes), self.by_length.shape[1]))

@@ -189,9 +189,7 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
     if not (estimate.have_same_position or _has_no_direction(given)):
         measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
-    sentences.append(measured)
-    sentences.extend(_advice(diagnosis))
-    return sentences
+    return [*sentences, measured, *_advice(diagnosis)]
 
 
 def camera_height_sentence(height: float, found_baseline: float | None = None) -> str:
@@ -223,13 +221,9 @@ def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
         "direction_uncertainty_deg": None if estimate is None else _finite(estimate.uncertainty.direction),
         "given": None if given is None else _fit_values(given),
         "mistakes": [
-            {
-                "name": explanation.hypothesis.name,
-                "words": explanation.hypothesis.words,
-                "remedy": explanation.hypothesis.remedy,
-                "corrected": _fit_values(explanation.fit),
-            }
+            {"name": each.name, "words": each.words, "remedy": each.remedy, "corrected": _fit_values(explanation.fit)}
             for explanation in diagnosis.explanations
+            for each in [explanation.hypothesis]
         ],
         "refine_helps": diagnosis.is_refinable,
     }
@@ -264,14 +258,14 @@ def _advice(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.explanations:
         return []
     best, *others = diagnosis.explanations
-    sentences = [
+    return [
         f"it looks as if {best.hypothesis.words} [{best.hypothesis.name}]",
         f"undone, the rotation is off by {_degrees(best.fit.rotation)} and the direction by "
         f"{_degrees(best.fit.direction)}; median residual {_degrees(best.fit.residual)}, {best.fit.in_front:.0%} of "
         "the points in front of both cameras",
         f"to do: {best.hypothesis.remedy}",
+        *_alternatives(others),
     ]
-    return [*sentences, *_alternatives(others)]
 
 
 def _alternatives(others: list[Explanation]) -> list[str]:

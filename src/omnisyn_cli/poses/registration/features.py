@@ -27,7 +27,7 @@ from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.pose import rotation_taking
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, pixel_scale, pixel_to_direction
+from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, normalize, pixel_scale, pixel_to_direction
 
 MAX_IMAGE_ROWS = 1024  # Larger panoramas are reduced to this height: features are then found within about 0.05°
 
@@ -251,5 +251,4 @@ def _floor(grey: np.ndarray, level_from_camera: np.ndarray) -> FoundPoints:
 def _floor_directions(col: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Directions of places in the bird's-eye view, of which the right is +x and the top is −z."""
     x, z = (((place + 0.5) / FLOOR_PIXELS * 2.0 - 1.0) * FLOOR_TANGENT for place in (col, row))
-    below = np.stack([x, -np.ones_like(x), z], axis=-1)
-    return np.asarray(below / np.linalg.norm(below, axis=-1, keepdims=True))
+    return np.asarray(normalize(np.stack([x, -np.ones_like(x), z], axis=-1)))

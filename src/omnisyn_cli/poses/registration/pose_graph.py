@@ -113,9 +113,7 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
         for panorama in placed[1:]:
             own = [edge for edge in edges if panorama in (edge.first, edge.second)]
             others = [edge.second if edge.first == panorama else edge.first for edge in own]
-            said = np.stack(
-                [rotations[other] @ edge.seen_from(other)[0].rotation for edge, other in zip(own, others, strict=True)]
-            )
+            said = np.stack([rotations[k] @ e.seen_from(k)[0].rotation for e, k in zip(own, others, strict=True)])
             off = rotation_angle(np.swapaxes(said, 1, 2) @ rotations[panorama])
             weight = np.array([edge.weight for edge in own]) / (1.0 + (off / CONTRADICTION_ANGLE) ** 2) ** 2
             rotations[panorama] = nearest_rotation(np.einsum("n,nij->ij", weight, said))
@@ -124,14 +122,10 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
 
 def consistent_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray]) -> list[Edge]:
     """Those between panoramas with averaged rotations that agree with them: a room may look alike from two sides."""
-    return [
-        edge
-        for edge in edges
-        if edge.first in rotations
-        and rotation_angle(
-            rotations[edge.first].T @ rotations[edge.second] @ edge.estimate.first_from_second.rotation.T
-        ) < max(CONTRADICTION_ANGLE, 3.0 * edge.estimate.uncertainty.rotation)
-    ]  # fmt: skip
+    known = [edge for edge in edges if edge.first in rotations]
+    off = [rotations[e.first].T @ rotations[e.second] @ e.estimate.first_from_second.rotation.T for e in known]
+    limits = [max(CONTRADICTION_ANGLE, 3.0 * edge.estimate.uncertainty.rotation) for edge in known]
+    return [edge for edge, turn, limit in zip(known, off, limits, strict=True) if rotation_angle(turn) < limit]
 
 
 def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *, is_ordered: bool) -> list[Edge]:
@@ -204,8 +198,7 @@ def baseline_lengths(
 ) -> tuple[Float[np.ndarray, " edges"], Int[np.ndarray, " edges"]]:
     """The length of every pair's baseline, 0 where both stand in one place, and the scale that it is told in.
 
-    Logarithms of the lengths by least squares over all ratios, those that are ``given``, and 1. Pairs that no ratio
-    connects have scales of their own, numbered by the first pair.
+    Logarithms by least squares over all ratios, ``given`` ones, and 1. Scales are numbered by their first pair.
     """
     ratios = length_ratios(edges) if ratios is None else ratios
     has_length = [not edge.estimate.have_same_position for edge in edges]

@@ -151,8 +151,7 @@ def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Vert
 def _is_planar(pose: Pose, matches: Matches, verticals: Verticals | None) -> bool:
     """Whether one plane is all that supports a pose: a floor or wall with a pattern that other places have as well.
 
-    Even without a pattern a plane leaves two poses (Longuet-Higgins, The reconstruction of a plane surface from two
-    perspective projections, 1986).
+    It leaves two poses: Longuet-Higgins, The reconstruction of a plane surface from two perspective projections, 1986.
     """
     scale = matches.tolerance
     turned = matches.second @ pose.rotation.T
@@ -239,9 +238,8 @@ def _log_binomial(n: int, k: int) -> float:
 def _likely_poses(matches: Matches, known: Sequence[Pose], verticals: Verticals | None) -> list[Pose]:
     """The pose that is least likely by chance, and others that may be none.
 
-    Floors of equal tiles mislead where all matches weigh the same, so samples are drawn with less weight for crowds.
-    But all that a corridor shows is crowded around its two ends: if the first pose is not clear, others are looked for
-    without weights.
+    Floors of equal tiles mislead where all matches weigh the same, so crowds weigh less. But all that a corridor shows
+    is crowded around its two ends: if the first pose is not clear, others are looked for without weights.
     """
     poses: list[tuple[float, Pose]] = []
     for weight in (_crowd_weight(matches), np.ones(len(matches))):

@@ -74,8 +74,7 @@ def find_lines(grey: Grey, usable: Usable = None) -> Lines:
         segments = detector.detect(table.bilinear(grey))[0]
         if segments is not None:
             ends = ((segments.reshape(-1, 2, 2) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
-            directions = np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1)
-            directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+            directions = normalize(np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1))
             found.append(np.cross(directions[:, 0], directions[:, 1]) @ rotation.T)
             middles.append(normalize(directions.sum(axis=1)) @ rotation.T)
     sines = np.concatenate(found)
@@ -92,8 +91,7 @@ def face_table(size: tuple[int, int], face: int) -> RemapTable:
     side = round(FACE_SHARE * size[0])
     across = ((np.arange(side) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
     x, y = np.meshgrid(across, -across)
-    plane = np.stack([x, y, -np.ones_like(x)], axis=-1)
-    plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
+    plane = normalize(np.stack([x, y, -np.ones_like(x)], axis=-1))
     return RemapTable.for_directions(plane @ CAMERA_FROM_FACE[face].T, size)
 
 
@@ -148,7 +146,7 @@ MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 MAX_RIVAL_LOG_FALSE_ALARMS = -40.0
 # Directions to the other side that two matches each propose, and how many of the best are counted exactly.
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
-LIKENESS_FEATURES = 600  # Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take
+LIKENESS_FEATURES = 600  # Of each panorama, for :meth:`Scan.likeness`: a hundredth of the time that all of them take
 SMALL_SIZE = (256, 512)  # Of the picture in colour that floors are looked for in
 
 # Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they do
@@ -195,6 +193,10 @@ class Scan:
         """Its vertical; that of a level camera where lines do not tell it for certain."""
         return self.vertical.up if self.vertical.is_certain else UP
 
+    def likeness(self, other: "Scan") -> int:
+        """How many of the strongest features match: quickly found, and enough to rank pairs by."""
+        return len(features.match_features(*(each.features.strongest(LIKENESS_FEATURES) for each in (self, other))))
+
     @cached_property
     def levelled(self) -> LevelledFeatures:
         """Features of walls and floor; found when they are first asked for."""
@@ -212,11 +214,6 @@ def forget_tables() -> None:
     """Free what scanning keeps for further panoramas of the same size."""
     features.band_table.cache_clear()
     face_table.cache_clear()
-
-
-def likeness(first: Scan, second: Scan) -> int:
-    """How many of the strongest features match: quickly found, and enough to rank pairs by."""
-    return len(features.match_features(*(scan.features.strongest(LIKENESS_FEATURES) for scan in (first, second))))
 
 
 def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
@@ -239,8 +236,7 @@ def _with_right_direction(
 ) -> Estimate | None:
     """The estimate; that of its rival where the pictures agree better with it, or None without one.
 
-    Repeated things can be matched to their neighbours, which are displaced the other way. A rival that the pictures
-    agree with about as well stays the rival.
+    Repeated things match their neighbours, which are displaced the other way. A rival that fits as well stays one.
     """
     if estimate is None or estimate.have_same_position:
         return estimate
