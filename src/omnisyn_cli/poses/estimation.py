@@ -358,8 +358,8 @@ def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequ
     above = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
     points = np.concatenate([np.zeros(0), *above])
     level = level_of_points(points)
-    if level is None and heights and (spread := spread_above(min(heights), points)) is not None:
-        level = min(heights), spread
+    if level is None and heights and (off := spread_above(min(heights), points)) is not None:
+        level = min(heights), off
     if level is None or any(abs(height / level[0] - 1.0) > MAX_LEVEL_ERROR for height in heights):
         found = "none" if chosen else "cameras at different heights (stairs?)"
         found = "planes that matched points do not confirm (furniture?)" if heights else found
