@@ -36,7 +36,7 @@ from omnisyn_cli.types import DepthEstimate, View
 def test_turned_pictures_match_as_they_were_turned(vector):
     image, rotation = street_image(0), rotation_from_rotation_vector(np.array(vector))
     turned = sample_bicubic(image, pixel_directions(*image.shape[:2]) @ rotation.T)
-    matches = match_features(find_features(image), find_features(turned))
+    matches = match_features(*(find_features(grey_of(each)) for each in (image, turned)))
     off = matches.first - matches.second @ rotation.T
     pixels = angle_between(matches.first, matches.second @ rotation.T) / matches.pixel
     assert len(matches) > 200
@@ -54,22 +54,22 @@ def test_a_mask_keeps_features_away():
     image = street_image(0)
     usable = np.zeros(image.shape[:2], bool)
     usable[:, 100:300] = True
-    row, col = direction_to_pixel(find_features(image, usable).direction, usable.shape)
+    row, col = direction_to_pixel(find_features(grey_of(image), usable).direction, usable.shape)
     assert len(row) > 50
     assert col.min() >= 99.5
     assert col.max() <= 299.5
 
 
 def test_the_number_of_threads_changes_nothing():
-    one, two = find_features(street_image(0), threads=1), find_features(street_image(0), threads=2)
+    one, two = (find_features(grey_of(street_image(0)), threads=threads) for threads in (1, 2))
     np.testing.assert_array_equal(one.direction, two.direction)
     np.testing.assert_array_equal(one.descriptor, two.descriptor)
 
 
 def test_an_empty_picture_has_no_matches():
-    nothing = find_features(np.full((64, 128, 3), 0.5))
+    nothing = find_features(grey_of(np.full((64, 128, 3), 0.5)))
     assert nothing.direction.shape == (0, 3)
-    assert len(match_features(nothing, find_features(street_image(0)))) == 0
+    assert len(match_features(nothing, find_features(grey_of(street_image(0))))) == 0
 
 
 def test_the_pose_of_a_generated_pair_is_found():

@@ -86,10 +86,7 @@ class LevelSweep:
 
 
 def floor_heights(pairs: Sequence[tuple[View, View]]) -> list[float]:
-    """How high the cameras of each pair that sees the floor stand above it, in the unit of the positions.
-
-    The y axis of the world is up, and all cameras are about equally high.
-    """
+    """Height above the floor of each pair that sees it, in the unit of positions; y is up, cameras are equally high."""
     sweeps = [LevelSweep.of(*pair) for pair in pairs if not at_same_position(*(view.pose for view in pair))]
     if not sweeps:
         return []
