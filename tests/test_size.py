@@ -10,10 +10,10 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_690, "interpolation": 5_340, "evaluation": 3_970, "scenes": 3_880, "io": 3_730, "stereo": 3_580,
-    "cli": 3_510, "render": 3_520, "training": 3_130, "fusion": 2_790, "synthesis": 2_280, "batch": 1_640,
-    "networks": 1_490, "baselines": 930, "geometry": 900, "pipeline": 640, "compute": 650, "(top)": 340,
-    "runtime": 580,
+    "poses": 6_450, "interpolation": 5_320, "evaluation": 3_880, "scenes": 3_880, "io": 3_730, "stereo": 3_540,
+    "cli": 3_510, "render": 3_520, "training": 3_130, "fusion": 2_790, "synthesis": 2_280, "batch": 1_630,
+    "networks": 1_490, "baselines": 920, "geometry": 890, "pipeline": 640, "compute": 650, "(top)": 340,
+    "runtime": 550,
 }  # fmt: skip
 """Lines by room, rounded up. To give a room more, take it from another one: the sum is never raised."""
 

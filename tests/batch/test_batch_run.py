@@ -300,13 +300,6 @@ def test_masks_are_the_manifests_and_changing_one_does_the_job_again(tmp_path):
     assert len(batch(tmp_path, asked).done) == 1
 
 
-def test_fewer_frames_leave_none_of_the_former_ones(tmp_path):
-    write_row(tmp_path, 2)
-    batch(tmp_path, line(0, 1, frames=5))
-    batch(tmp_path, line(0, 1, frames=3))
-    assert len(contents(tmp_path / "out")) == 3
-
-
 def test_files_of_others_in_a_jobs_folder_stay_and_redo_nothing(tmp_path):
     """Frames of another format and the ones that are too many go, whatever has other names stays."""
     write_row(tmp_path, 2)

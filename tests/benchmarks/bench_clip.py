@@ -8,7 +8,6 @@ other work on the machine changes less.
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from omnisyn_cli.evaluation.bench_run import computing
 from omnisyn_cli.io import open_video
 from omnisyn_cli.io.ffmpeg_process import read_frames
 
@@ -63,14 +63,9 @@ def encode(frames: list[np.ndarray], output: Path, size: Size) -> None:
 
 def timed(work: Callable[[], T]) -> tuple[float, float, T]:
     """Seconds on the clock, seconds of computing in this process and those that ended meanwhile, and the result."""
-    clock, computing = time.perf_counter(), computed()
+    clock, before = time.perf_counter(), computing()
     result = work()
-    return time.perf_counter() - clock, computed() - computing, result
-
-
-def computed() -> float:
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(each.ru_utime + each.ru_stime for each in used)
+    return time.perf_counter() - clock, computing() - before, result
 
 
 def compare(inputs: list[Path], size: Size, count: int, preset: str) -> None:
@@ -83,11 +78,9 @@ def compare(inputs: list[Path], size: Size, count: int, preset: str) -> None:
         for _ in range(ROUNDS):
             encodings.append(timed(lambda: encode(frames, again, size)))
             clips.append(timed(lambda: interpolate(inputs, video, size, count, *options)))
-    wall, computing = (min(clip[k] for clip in clips) / min(encoding[k] for encoding in encodings) for k in (0, 1))
+    wall, own = (min(clip[k] for clip in clips) / min(encoding[k] for encoding in encodings) for k in (0, 1))
     _, memory, said = clips[0][2]
-    print(
-        f"{preset}: {count} frames of {size[1]}x{size[0]}, {wall:.2f} times the encoder's time, {computing:.2f} times"
-    )
+    print(f"{preset}: {count} frames of {size[1]}x{size[0]}, {wall:.2f} times the encoder's time, {own:.2f} times")
     print(f"  its computing; command {min(c[0] for c in clips):.1f} s, encoder {min(e[0] for e in encodings):.1f} s,")
     print(f"  peak memory {memory / 1e9:.2f} GB; stages:", json.loads(said)["stages"], flush=True)
 

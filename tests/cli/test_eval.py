@@ -135,7 +135,7 @@ def test_pairs_can_be_chosen(omnisyn: Omnisyn, scenes: Path) -> None:
     [
         (["--methods", "nosuch"], 3, "expected one of crossfade"), (["--format", "zind"], 3, "the layout 'zind'"),
         (["--format", "nosuch"], 2, "nosuch"), (["--pairs", "x"], 3, "expected pairs"),
-        (["--size", "64x64"], 2, "twice as wide"), (["--lpips", "nosuch.onnx"], 3, "nosuch.onnx"),
+        (["--size", "64x64"], 2, "twice as wide"),
         (["--report", "/dev/null/report"], 3, "expected a folder for the report"),
     ],
 )  # fmt: skip
@@ -149,10 +149,3 @@ def test_methods_are_listed_without_a_data_set(omnisyn: Omnisyn) -> None:
     result = omnisyn.made("eval", "--list-methods")
     for name in ("crossfade", "flow", "matching", "omnisyn-balanced", "synsin-2view", "oracle-depth"):
         assert f"{name} " in result.out
-
-
-def test_layouts_and_formats_are_the_same_names() -> None:
-    from omnisyn_cli.cli.evaluate import LAYOUTS
-    from omnisyn_cli.evaluation.datasets import FORMATS
-
-    assert ("auto", *FORMATS) == LAYOUTS

@@ -215,11 +215,6 @@ def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, omnisyn: 
         assert f"h264 ({profile})" in report
 
 
-def test_the_rate_may_be_a_fraction(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
-    plan = omnisyn.json(*pair_arguments(tmp_path, pair, "a.mp4", "--dry-run", "--fps", "30000/1001"))
-    assert plan["fps"] == 30000 / 1001
-
-
 @pytest.mark.parametrize(
     ("more", "words"),
     [

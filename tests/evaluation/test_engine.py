@@ -351,7 +351,7 @@ def test_what_makes_no_sense_is_refused_before_any_work(tmp_path, options, messa
 
 
 def test_methods_are_compared_with_themselves_in_tours(tmp_path, monkeypatch):
-    """Those that look for depth; each pair knows half of the middle panorama, in a tour it has the other half too."""
+    """Each pair knows half of the middle panorama, in a tour it has the other half too."""
     data = tmp_path / "data" / "walk"
     data.mkdir(parents=True)
     poses = [posed((0, 0, 0.8 - 0.4 * k)) for k in range(5)]
@@ -367,8 +367,8 @@ def test_methods_are_compared_with_themselves_in_tours(tmp_path, monkeypatch):
         return found[0], found[1]
 
     monkeypatch.setattr(methods, "make_estimator", lambda *_, **__: half_blind)
-    records = run(data.parent, "crossfade,matching,oracle-depth", tours=True)
     tour = "matching:neighbours=2"
+    records = run(data.parent, f"crossfade,matching,{tour},oracle-depth", pairs="every:2")
     assert [record.method for record in records[:4]] == ["crossfade", "matching", tour, "oracle-depth"]
     assert [(record.first, record.second) for record in records[::4]] == [("p0.png", "p2.png"), ("p2.png", "p4.png")]
     alone, joined = (
@@ -384,8 +384,9 @@ def test_a_tour_is_measured_again_where_a_panorama_beside_it_changed(tmp_path, m
     data = tmp_path / "data" / "walk"
     data.mkdir(parents=True)
     write_hall(data, [posed((0, 0, 0.8 - 0.4 * k)) for k in range(5)])
-    before = {(r.first, r.method): r.key for r in run(data.parent, "matching", tours=True)}
+    names = "matching,matching:neighbours=2"
+    before = {(r.first, r.method): r.key for r in run(data.parent, names, pairs="every:2")}
     repaint(data / "p4.png")
-    after = {(r.first, r.method): r.key for r in run(data.parent, "matching", tours=True)}
+    after = {(r.first, r.method): r.key for r in run(data.parent, names, pairs="every:2")}
     changed = {unit for unit in before if before[unit] != after[unit]}
     assert changed == before.keys() - {("p0.png", "matching")}

@@ -40,20 +40,6 @@ def test_lines_are_strict_json(tmp_path):
     assert len(text.splitlines()) == 2
 
 
-@pytest.mark.parametrize("rest", [b"{", b'{"key": "half a li', "ä".encode(), "half a character: ä".encode()[:-1]])
-def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path, rest):
-    append_record(tmp_path, DONE)
-    path = tmp_path / RESULTS_NAME
-    path.write_bytes(path.read_bytes() + rest)
-    assert read_records(tmp_path) == [DONE]
-    append_record(tmp_path, DONE)
-    assert read_records(tmp_path) == [DONE, DONE]
-    path.write_bytes(rest)
-    assert read_records(tmp_path) == []
-    append_record(tmp_path, DONE)
-    assert read_records(tmp_path) == [DONE]
-
-
 @pytest.mark.parametrize("line", ["{}", "[]", "nonsense", '{"key": 1}'])
 def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path, line):
     append_record(tmp_path, DONE)

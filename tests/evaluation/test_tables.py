@@ -41,7 +41,7 @@ def test_methods_are_averaged_over_all_their_frames_and_ranked():
     assert matching["WS-PSNR, dB"] == pytest.approx(np.mean([26, 24, 28, 22, 20, 24]))
     assert matching["PSNR, dB"] == pytest.approx(matching["WS-PSNR, dB"] + 0.5)
     assert matching["Frames"] == 6
-    assert "LPIPS" not in matching
+    assert "Misplacement, degrees" not in matching
 
 
 def test_tours_are_compared_with_pairs_frame_by_frame():
@@ -272,6 +272,6 @@ def test_equal_reasons_are_told_once_and_scenes_come_first():
 
 def test_a_score_that_some_frames_lack_is_averaged_over_the_others():
     frames = (frame(0.25, 20.0), frame(0.75, 30.0))
-    with_lpips = frames[0].scores | {"lpips": 0.3}
-    record = unit("hall", "matching", (), frames=(type(frames[0])("x", 0.25, 1.0, with_lpips), frames[1]))
-    assert figures(table("Means per method", [record]))["matching"]["LPIPS"] == 0.3
+    with_more = frames[0].scores | {"misplacement": 0.3}
+    record = unit("hall", "matching", (), frames=(type(frames[0])("x", 0.25, 1.0, with_more), frames[1]))
+    assert figures(table("Means per method", [record]))["matching"]["Misplacement, degrees"] == 0.3

@@ -52,9 +52,8 @@ def test_panoramas_are_at_one_position_within_a_tolerance_however_they_are_turne
 class TestRotations:
     def test_are_rigid(self):
         rotation = rotations()
-        np.testing.assert_allclose(
-            rotation @ np.swapaxes(rotation, -1, -2), np.broadcast_to(np.eye(3), rotation.shape), atol=1e-14
-        )
+        squared = rotation @ np.swapaxes(rotation, -1, -2)
+        np.testing.assert_allclose(squared, np.broadcast_to(np.eye(3), rotation.shape), atol=1e-14)
         np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
 
     def test_quaternions_round_trip_near_every_singularity(self):
@@ -150,13 +149,12 @@ class TestInterpolation:
 
 
 class TestHeading:
-    @pytest.mark.parametrize(("heading", "direction"), [(0, NORTH), (90, EAST), (180, -NORTH), (270, -EAST)])
-    def test_is_a_compass(self, heading, direction):
-        np.testing.assert_allclose(rotation_from_heading(math.radians(heading)) @ FORWARD, direction, atol=1e-15)
-
-    def test_pitch_looks_up(self):
-        looking = rotation_from_heading(math.radians(90), math.radians(30)) @ FORWARD
-        np.testing.assert_allclose(looking, math.cos(math.pi / 6) * EAST + math.sin(math.pi / 6) * UP, atol=1e-15)
+    @pytest.mark.parametrize(
+        ("angles", "direction"),
+        [((0,), NORTH), ((90,), EAST), ((180,), -NORTH), ((270,), -EAST), ((90, 30), 0.75**0.5 * EAST + 0.5 * UP)],
+    )
+    def test_is_a_compass_and_pitch_looks_up(self, angles, direction):
+        np.testing.assert_allclose(rotation_from_heading(*np.radians(angles)) @ FORWARD, direction, atol=1e-15)
 
     def test_roll_turns_clockwise_and_keeps_the_line_of_sight(self):
         rotation = rotation_from_heading(0.4, 0.2, math.radians(90))
@@ -178,15 +176,16 @@ class TestGeographic:
         assert at_equator == pytest.approx(111_320, rel=1e-4)
         assert at_sixty / at_equator == pytest.approx(0.5, rel=5e-3)
 
-    def test_altitude_is_up(self):
-        np.testing.assert_allclose(enu_from_geographic(10.0, 20.0, 25.0, (10.0, 20.0, 5.0)), [0, 0, 20], atol=1e-8)
+    @pytest.mark.parametrize(
+        ("place", "origin", "expected", "tolerance"),
+        [((10.0, 20.0, 25.0), (10.0, 20.0, 5.0), [0, 0, 20], 1e-8),
+         ((89.9999, 180.0, 0.0), (89.9999, 0.0, 0.0), [0, 22.34, 0], 0.01)],
+    )  # fmt: skip
+    def test_altitude_is_up_and_the_pole_a_place_like_any_other(self, place, origin, expected, tolerance):
+        np.testing.assert_allclose(enu_from_geographic(*place, origin), expected, atol=tolerance)
 
     def test_the_date_line_is_no_line(self):
         across = enu_from_geographic(10.0, -179.9999, 3.0, (10.0, 179.9999, 3.0))
         elsewhere = enu_from_geographic(10.0, 0.0001, 3.0, (10.0, -0.0001, 3.0))
         np.testing.assert_allclose(across, elsewhere, atol=1e-6)
         assert 0 < across[0] < 25
-
-    def test_the_pole_is_a_place_like_any_other(self):
-        across = enu_from_geographic(89.9999, 180.0, 0.0, (89.9999, 0.0, 0.0))
-        np.testing.assert_allclose(across, [0.0, 22.34, 0.0], atol=0.01)

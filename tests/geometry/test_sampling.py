@@ -1,6 +1,7 @@
 """What is read between pixels, over the seam and the poles, by OpenCV too; borders, regions and turned panoramas."""
 
 import math
+from functools import partial
 
 import cv2
 import numpy as np
@@ -60,13 +61,8 @@ def test_bilinear_equals_brute_force_across_seam_and_poles():
 @pytest.mark.parametrize("sample", [sampling.sample_bilinear, sampling.sample_bicubic])
 def test_interpolation_is_continuous_over_the_seam_and_the_poles(sample):
     image = noise(8, 16)
-    for there, here in (
-        ([1e-9, 0.2, 1.0], [-1e-9, 0.2, 1.0]),
-        ([1e-9, 1.0, 0.0], [-1e-9, 1.0, 0.0]),
-        ([0.0, -1.0, 1e-9], [0.0, -1.0, -1e-9]),
-    ):
-        a, b = sample(image, np.array([there, here]))
-        assert a == pytest.approx(b, abs=1e-6)
+    ways, off = np.array([[0, 0.2, 1.0], [0, 1.0, 0], [0, -1.0, 0]]), 1e-9 * np.array([[1, 0, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(sample(image, ways + off), sample(image, ways - off), atol=1e-6)
 
 
 def test_bicubic_reproduces_ramps_and_parabolas_away_from_the_wraps():
@@ -129,11 +125,7 @@ def test_added_columns_are_those_of_the_other_side(shape, columns):
 
 @pytest.mark.parametrize("turn", [1, 5, 11])
 def test_a_turned_image_is_filtered_as_if_it_were_not_turned(turn):
-    image = noise(8, 16, 3)
-
-    def blur(wide: np.ndarray) -> np.ndarray:
-        return cv2.blur(wide, (5, 3))
-
+    image, blur = noise(8, 16, 3), partial(cv2.blur, ksize=(5, 3))
     there = sampling.filter_across_seam(blur, np.roll(image, turn, axis=1), 2)
     np.testing.assert_allclose(there, np.roll(sampling.filter_across_seam(blur, image, 2), turn, axis=1), atol=1e-12)
     assert np.abs(blur(image)[:, 0] - sampling.filter_across_seam(blur, image, 2)[:, 0]).max() > 0.01
@@ -187,9 +179,8 @@ def test_both_cameras_mean_the_same_direction_of_the_world(index: int) -> None:
 @pytest.mark.parametrize("columns", [0, 1, 5, 31])
 def test_looking_further_to_the_right_moves_what_is_seen_to_the_left(columns: int) -> None:
     image, target = noise(*SIZE, 3), rotation_from_heading(columns / SIZE[1] * 2 * np.pi)
-    np.testing.assert_allclose(
-        sampling.rotated_image(image, np.eye(3), target, SIZE), np.roll(image, -columns, axis=1), atol=1e-5
-    )
+    found = sampling.rotated_image(image, np.eye(3), target, SIZE)
+    np.testing.assert_allclose(found, np.roll(image, -columns, axis=1), atol=1e-5)
 
 
 def test_a_larger_panorama_is_averaged_over_areas_and_a_smaller_one_is_not() -> None:
@@ -234,18 +225,15 @@ def test_interpolation_is_that_of_the_plain_form(channels: int) -> None:
     image, looked = smooth(channels), RemapTable.for_directions(looked_directions(), REMAP_SIZE)
     pairs = ((looked.bilinear, sampling.sample_bilinear, 0.02), (looked.bicubic, sampling.sample_bicubic, 0.05))
     for read, plain, tolerance in pairs:
-        np.testing.assert_allclose(
-            read(image).reshape(40, 50, channels), plain(image, looked_directions()), atol=tolerance
-        )
+        found = read(image).reshape(40, 50, channels)
+        np.testing.assert_allclose(found, plain(image, looked_directions()), atol=tolerance)
 
 
 def test_the_nearest_pixel_is_that_of_the_plain_form() -> None:
     """But for places within a thirtieth of a pixel of the line between two."""
     image = np.arange(REMAP_SIZE[0] * REMAP_SIZE[1], dtype=np.float32).reshape(REMAP_SIZE)
-    is_same = RemapTable.for_directions(looked_directions(), REMAP_SIZE).nearest(image) == sampling.sample_nearest(
-        image, looked_directions()
-    )
-    assert is_same.mean() > 0.9
+    found = RemapTable.for_directions(looked_directions(), REMAP_SIZE).nearest(image)
+    assert (found == sampling.sample_nearest(image, looked_directions())).mean() > 0.9
 
 
 def test_a_mask_stays_one() -> None:

@@ -31,17 +31,10 @@ def test_every_pixel_survives_the_way_to_directions_and_back(size):
     np.testing.assert_allclose(col, expected_col, atol=1e-9)
 
 
-def test_every_direction_survives_the_way_to_angles_and_back_even_at_the_singularities():
-    vectors = directions()
-    np.testing.assert_allclose(sphere.angles_to_direction(*sphere.direction_to_angles(vectors)), vectors, atol=1e-15)
-
-
-def test_angles_do_not_depend_on_the_length_of_a_vector():
-    vectors = directions()
-    for scale in (1e-6, 3.0, 1e6):
-        np.testing.assert_allclose(
-            sphere.direction_to_angles(scale * vectors), sphere.direction_to_angles(vectors), atol=1e-14
-        )
+@pytest.mark.parametrize(("length", "tolerance"), [(1.0, 1e-15), (1e-6, 1e-14), (3.0, 1e-14), (1e6, 1e-14)])
+def test_every_direction_survives_the_way_to_angles_and_back_even_at_the_singularities(length, tolerance):
+    found = sphere.angles_to_direction(*sphere.direction_to_angles(length * directions()))
+    np.testing.assert_allclose(found, directions(), atol=tolerance)
 
 
 def test_the_polar_angle_keeps_its_digits_at_the_poles():
@@ -122,16 +115,11 @@ class TestLinearisedArccos:
 
 
 def test_numpy_and_torch_agree():
-    vectors = directions()
-    as_torch = torch.from_numpy(vectors)
-    for function in (sphere.direction_to_angles, sphere.normalize):
-        np.testing.assert_allclose(np.asarray(function(vectors)), np.stack(list(function(as_torch))), atol=1e-15)
     row, col = np.linspace(-1, 9, 11), np.linspace(-3, 20, 11)
-    expected = sphere.pixel_to_direction(row, col, (8, 16))
-    np.testing.assert_allclose(
-        sphere.pixel_to_direction(torch.from_numpy(row), torch.from_numpy(col), (8, 16)), expected
-    )
-    cosine = np.linspace(-1, 1, 101)
-    np.testing.assert_allclose(
-        sphere.linearised_arccos(torch.from_numpy(cosine)), sphere.linearised_arccos(cosine), atol=1e-15
-    )
+    for function, *values in (
+        (sphere.direction_to_angles, directions()), (sphere.normalize, directions()),
+        (lambda *places: sphere.pixel_to_direction(*places, (8, 16)), row, col),
+        (sphere.linearised_arccos, np.linspace(-1, 1, 101)),
+    ):  # fmt: skip
+        found = function(*map(torch.from_numpy, values))
+        np.testing.assert_allclose(np.stack(list(found)), np.asarray(function(*values)), atol=1e-15)

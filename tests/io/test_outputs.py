@@ -40,13 +40,6 @@ def test_after_a_failure_nothing_is_there(tmp_path, exists, error):
     assert not exists or not list(folder.iterdir())
 
 
-def test_strangers_in_the_folder_stay(tmp_path):
-    (tmp_path / "c").write_text("mine")
-    with staged_folder(tmp_path) as staged:
-        (staged / "a").write_text("a")
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["a", "c"]
-
-
 def test_what_a_former_output_has_beyond_the_new_one_goes_and_nothing_else(tmp_path):
     """What its document names and is called like its files; strangers stay, whatever they are called."""
     own_file = re.compile(r"(?:parts|more)/\d+")

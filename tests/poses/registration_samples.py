@@ -12,7 +12,7 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_rotation_vector,
     rotation_vector_from_rotation,
 )
-from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import Uncertainty, relative_pose
 from omnisyn_cli.poses.registration.pose_graph import Edge
 from omnisyn_cli.poses.registration.robust import Estimate
@@ -98,7 +98,7 @@ def street_image(index: int, size: tuple[int, int] = (256, 512)) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def street_matches() -> Matches:
-    return match_features(*(find_features(street_image(k), threads=2) for k in range(2)))
+    return match_features(*(find_features(grey_of(street_image(k)), threads=2) for k in range(2)))
 
 
 def street_truth() -> Pose:

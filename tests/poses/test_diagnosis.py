@@ -12,7 +12,7 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.poses.registration.conventions import combined_hypotheses, heading_angles, single_hypotheses
 from omnisyn_cli.poses.registration.diagnosis import diagnose, diagnosis_sentences, diagnosis_values
-from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import direction_error, relative_pose, rotation_error
 from omnisyn_cli.poses.registration.robust import estimate_relative_pose
 
@@ -164,7 +164,7 @@ NOMINAL = "vertical-stairs"
 def matched(scene: str) -> Matches:
     names = list(read_poses(DATA / scene / "poses.json").panoramas)
     pictures = (read_panorama(DATA / scene / name) for name in (names[0], names[-1]))
-    return match_features(*(find_features(picture.image, picture.mask, threads=2) for picture in pictures))
+    return match_features(*(find_features(grey_of(picture.image), picture.mask, threads=2) for picture in pictures))
 
 
 def given(scene: str) -> tuple[Pose, Pose]:

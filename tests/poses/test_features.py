@@ -22,6 +22,7 @@ from omnisyn_cli.poses.floor import (
     height_above_points,
     height_in_depth,
     level_of_points,
+    spread_above,
 )
 from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import angle_between, direction_error, rotation_error
@@ -35,7 +36,7 @@ from omnisyn_cli.types import DepthEstimate, View
 def test_turned_pictures_match_as_they_were_turned(vector):
     image, rotation = street_image(0), rotation_from_rotation_vector(np.array(vector))
     turned = sample_bicubic(image, pixel_directions(*image.shape[:2]) @ rotation.T)
-    matches = match_features(find_features(image), find_features(turned))
+    matches = match_features(*(find_features(grey_of(each)) for each in (image, turned)))
     off = matches.first - matches.second @ rotation.T
     pixels = angle_between(matches.first, matches.second @ rotation.T) / matches.pixel
     assert len(matches) > 200
@@ -53,22 +54,22 @@ def test_a_mask_keeps_features_away():
     image = street_image(0)
     usable = np.zeros(image.shape[:2], bool)
     usable[:, 100:300] = True
-    row, col = direction_to_pixel(find_features(image, usable).direction, usable.shape)
+    row, col = direction_to_pixel(find_features(grey_of(image), usable).direction, usable.shape)
     assert len(row) > 50
     assert col.min() >= 99.5
     assert col.max() <= 299.5
 
 
 def test_the_number_of_threads_changes_nothing():
-    one, two = find_features(street_image(0), threads=1), find_features(street_image(0), threads=2)
+    one, two = (find_features(grey_of(street_image(0)), threads=threads) for threads in (1, 2))
     np.testing.assert_array_equal(one.direction, two.direction)
     np.testing.assert_array_equal(one.descriptor, two.descriptor)
 
 
 def test_an_empty_picture_has_no_matches():
-    nothing = find_features(np.full((64, 128, 3), 0.5))
+    nothing = find_features(grey_of(np.full((64, 128, 3), 0.5)))
     assert nothing.direction.shape == (0, 3)
-    assert len(match_features(nothing, find_features(street_image(0)))) == 0
+    assert len(match_features(nothing, find_features(grey_of(street_image(0))))) == 0
 
 
 def test_the_pose_of_a_generated_pair_is_found():
@@ -193,6 +194,13 @@ def test_the_level_of_points_is_told_within_5_percent_or_not_at_all():
     off = np.random.default_rng(7).normal(size=400)
     assert level_of_points(1.6 * np.exp(0.02 * off)) == (pytest.approx(1.6, rel=0.01), pytest.approx(0.0135, rel=0.2))
     assert level_of_points(1.6 * np.exp(0.042 * off)) is None
+
+
+def test_a_plane_with_few_points_is_a_floor_if_none_of_them_lies_below():
+    points = np.array([1.3, 1.35, 1.5, 1.55, 8.0, 0.4])  # the last two are a reflection and a bin
+    assert spread_above(1.6, points) == pytest.approx(0.109, abs=0.001)
+    assert spread_above(1.6, points[1:]) is None
+    assert spread_above(1.6, np.append(points, 1.9)) is None
 
 
 def test_without_a_floor_there_is_no_height():

@@ -18,7 +18,7 @@ from omnisyn_cli.poses.file import PosedPanorama, PoseUncertainty, distinct_name
 
 RIGID = {"position": [0, 0, 0], "rotation": [1, 0, 0, 0]}
 PLACE = {"latitude": 48.1, "longitude": 11.5, "altitude": 520.0, "heading": 93.0}
-EYE = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+EYE, WHOLE = np.eye(3).tolist(), np.eye(4).tolist()
 numbers = st.floats(-1e6, 1e6)
 
 
@@ -85,9 +85,8 @@ def test_writing_and_reading_is_exact_in_position_and_a_rounding_in_rotation(tmp
 
 def test_uncertainties_are_kept_with_two_digits(tmp_path):
     known = [None, PoseUncertainty(np.radians(0.0123456), 0.0345678), PoseUncertainty(np.radians(1.0), None)]
-    write_poses(
-        tmp_path / "p.json", {f"{k}.jpg": PosedPanorama(Pose.identity(), uncertainty=u) for k, u in enumerate(known)}
-    )
+    entries = {f"{k}.jpg": PosedPanorama(Pose.identity(), uncertainty=spread) for k, spread in enumerate(known)}
+    write_poses(tmp_path / "p.json", entries)
     _, second, third = [panorama.uncertainty for panorama in read_poses(tmp_path / "p.json").panoramas.values()]
     assert (second.rotation, second.position) == pytest.approx((np.radians(0.012), 0.035))
     assert (third.rotation, third.position) == (pytest.approx(np.radians(1.0)), None)
@@ -159,14 +158,8 @@ BROKEN: dict[str, tuple[Any, str]] = {
     "scaled": (one({"position": [0, 0, 0], "matrix": [[2, 0, 0], [0, 2, 0], [0, 0, 2]]}), "rigid .*deviation of 3"),
     "mirrored": (one({"position": [0, 0, 0], "matrix": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}), "mirror image"),
     "ragged": (one({"position": [0, 0, 0], "matrix": [[1, 0], [0, 1, 0], [0, 0, 1]]}), "3×3 or 4×4"),
-    "transposed": (
-        one({"matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]}),
-        r"last row \[0, 0, 0, 1\]",
-    ),
-    "disagreeing": (
-        one({"position": [9, 0, 0], "matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}),
-        "position to agree",
-    ),
+    "transposed": (one({"matrix": [*WHOLE[:3], [1, 2, 3, 1]]}), r"last row \[0, 0, 0, 1\]"),
+    "disagreeing": (one({"position": [9, 0, 0], "matrix": WHOLE}), "position to agree"),
     "latitude": (one({**PLACE, "latitude": 91}), "latitude: expected .*less than or equal to 90, got 91"),
     "depth above": (one({**RIGID, "depth": "../secret.exr"}), "leading out of the folder"),
     "depth absolute": (one({**RIGID, "depth": "/etc/passwd"}), "absolute"),
@@ -195,13 +188,9 @@ def test_unreadable_files_are_pose_errors(tmp_path):
     (tmp_path / "binary.json").write_bytes(b"\xff\xfe\x00{")
     with (tmp_path / "huge.json").open("wb") as huge:
         huge.truncate((64 << 20) + 1)
-    for name, words in [
-        ("binary.json", "UTF-8"),
-        ("huge.json", "at most"),
-        ("none.json", "No such file"),
-        (".", "folder|directory"),
-    ]:
-        with pytest.raises(PoseError, match=words):
+    words = {"binary.json": "UTF-8", "huge.json": "at most", "none.json": "No such file", ".": "folder|directory"}
+    for name, expected in words.items():
+        with pytest.raises(PoseError, match=expected):
             read_poses(tmp_path / name)
 
 
@@ -211,11 +200,10 @@ def test_a_byte_order_mark_does_no_harm(tmp_path):
     assert list(read_poses(path).panoramas) == ["a.jpg"]
 
 
-@given(
-    st.recursive(
-        st.none() | st.booleans() | st.floats() | st.text(), lambda x: st.lists(x) | st.dictionaries(st.text(), x)
-    )
-)
+LEAVES = st.none() | st.booleans() | st.floats() | st.text()
+
+
+@given(st.recursive(LEAVES, lambda x: st.lists(x) | st.dictionaries(st.text(), x)))
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_entry_is_a_pose_or_a_pose_error(tmp_path_factory, entry):
     path = wrote(tmp_path_factory.mktemp("any"), one(entry))

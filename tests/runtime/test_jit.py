@@ -15,15 +15,7 @@ import pytest
 
 from omnisyn_cli.compute import jit, kernel_files
 from omnisyn_cli.compute.arrays import empty, zeros
-from omnisyn_cli.compute.jit import (
-    announce_compiling,
-    are_kernels_kept,
-    fast_kernel,
-    is_on_disk,
-    kernel,
-    when_compiling,
-    while_compiling,
-)
+from omnisyn_cli.compute.jit import kernel, when_compiling
 from omnisyn_cli.errors import WriteError
 from omnisyn_cli.fusion import warp_candidates
 from omnisyn_cli.interpolation import kernel_warm_up
@@ -51,24 +43,22 @@ def test_the_first_compilation_is_said_and_no_other_one() -> None:
 def test_what_another_process_compiles_is_said_as_well() -> None:
     said: list[str] = []
     with when_compiling(lambda: said.append("compiling")):
-        announce_compiling()
-        announce_compiling()
+        jit.announce_compiling()
+        jit.announce_compiling()
     assert said == ["compiling"]
 
 
-@pytest.mark.parametrize("decorator", [kernel, kernel(), fast_kernel()])
+@pytest.mark.parametrize("decorator", [kernel, kernel(), jit.fast_kernel()])
 def test_kernels_work_without_a_place_for_their_machine_code(
     decorator: jit.Decorator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A read-only installation, and a user without a home."""
 
     monkeypatch.setattr(jit._Kept, "everywhere", True)
-    monkeypatch.setattr(
-        "numba.core.caching.FunctionCache.__init__",
-        Mock(side_effect=RuntimeError("cannot cache function: no locator available")),
-    )
+    refusal = Mock(side_effect=RuntimeError("cannot cache function: no locator available"))
+    monkeypatch.setattr("numba.core.caching.FunctionCache.__init__", refusal)
     assert decorator(lambda x: x + 1)(1) == 2
-    assert not are_kernels_kept()
+    assert not jit.are_kernels_kept()
 
 
 def test_what_is_compiled_quickly_is_not_worth_a_word() -> None:
@@ -76,7 +66,7 @@ def test_what_is_compiled_quickly_is_not_worth_a_word() -> None:
     with when_compiling(lambda: said.append("compiling"), patience=60.0):
         quick(1)
         assert said == []
-        announce_compiling()  # by somebody who knows that it takes long
+        jit.announce_compiling()  # by somebody who knows that it takes long
         assert said == ["compiling"]
     with when_compiling(lambda: said.append("again"), patience=1e-9):
         quick(1.0)
@@ -89,7 +79,7 @@ def test_what_is_compiled_quickly_is_not_worth_a_word() -> None:
 def test_compiling_begins_and_ends_once_for_a_kernel_and_those_in_it() -> None:
     inner = kernel(cache=False)(lambda x: x + 1)
     outer, said = kernel(cache=False)(lambda x: inner(x) * 2), []
-    with while_compiling(said.append):
+    with jit.while_compiling(said.append):
         assert outer(1) == 4
         assert said == [True, False]
         outer(1)
@@ -189,9 +179,8 @@ def test_new_arrays_in_kernels_are_numpys() -> None:
         return empty(count, np.bool_), zeros((count, 3), like.dtype), zeros((2, count, 2), np.float64)
 
     found = new(5, np.ones(1, np.uint16))
-    for array, expected in zip(
-        found, (np.empty(5, bool), np.zeros((5, 3), np.uint16), np.zeros((2, 5, 2))), strict=True
-    ):
+    plain = np.empty(5, bool), np.zeros((5, 3), np.uint16), np.zeros((2, 5, 2))
+    for array, expected in zip(found, plain, strict=True):
         assert (array.shape, array.strides, array.dtype) == (expected.shape, expected.strides, expected.dtype)
     assert not found[1].any()
     assert not found[2].any()
@@ -266,4 +255,4 @@ def test_where_it_cannot_be_started_everything_is_as_before(started, monkeypatch
 
 def test_what_is_not_kept_needs_nobody() -> None:
     """Kernels without a place on disk would be compiled for nothing."""
-    assert is_on_disk(kernel(cache=False)(lambda x: x + 1))
+    assert jit.is_on_disk(kernel(cache=False)(lambda x: x + 1))

@@ -17,7 +17,7 @@ from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, SUPERSAMPLE, write_scene
 from omnisyn_cli.io import read_depth, read_panorama
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.scenes import GENERATORS, generate_scene
+from omnisyn_cli.scenes import GENERATORS, generate_scene, paths
 from omnisyn_cli.scenes.paths import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, longest_path, suite_scenes
 
 
@@ -196,7 +196,8 @@ def test_the_bytes_are_those_that_were_recorded(tmp_path, walks):
 @pytest.fixture
 def one_seed(monkeypatch):
     monkeypatch.setattr(suite_module, "SUPERSAMPLE", 1)
-    monkeypatch.setattr(suite_scenes, "__defaults__", (("room",), SUITE_SEEDS[1:]))
+    monkeypatch.setattr(paths, "STANDARD_KINDS", ("room",))
+    monkeypatch.setattr(paths, "SUITE_SEEDS", SUITE_SEEDS[1:])
 
 
 def make_suite(*arguments):

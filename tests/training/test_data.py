@@ -10,6 +10,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.io.decode import decode_image
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_walk, save_samples
 from omnisyn_cli.training.loop import train
@@ -151,12 +152,6 @@ def test_every_validation_leaves_a_picture(tmp_path, config):
     train(TINY, config, tmp_path / "run", steps=4)
     names = sorted(path.name for path in (tmp_path / "run" / "pictures").iterdir())
     assert names == ["00000002.png", "00000004.png"]
-    sheet = read_sheet(tmp_path / "run" / "pictures" / names[-1])
+    _, sheet = decode_image(tmp_path / "run" / "pictures" / names[-1])
     assert sheet.shape == (2 * 64 + SHEET_GAP_PIXELS, 2 * 128 + SHEET_GAP_PIXELS, 3)
     assert sheet[:64, :128].std() > 0.05
-
-
-def read_sheet(path):
-    from omnisyn_cli.io.decode import decode_image
-
-    return decode_image(path)[1]

@@ -11,10 +11,10 @@ import torch
 from click.testing import CliRunner
 from training_samples import make_walks
 
+from ball_samples import FIRST, SECOND, SIZE, ball
 from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.errors import InputError, OmnisynError, OutputPathError, WriteError
-from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
@@ -25,19 +25,6 @@ from omnisyn_cli.training.pairs import Batch, draw_pairs
 from omnisyn_cli.training.scene_makers import pair_path, walk_of_views
 from omnisyn_cli.training.walks import WalkConfig, make_walk_file
 from omnisyn_cli.types import DepthEstimate, View
-
-RADIUS, CENTRE = 3.0, np.array([0.3, -0.2, 0.4])
-FIRST = Pose(rotation_from_rotation_vector(np.array([0.2, 1.0, -0.1])), np.array([0.1, 0.2, -0.3]))
-SECOND = Pose(rotation_from_rotation_vector(np.array([-0.3, -2.0, 0.4])), np.array([0.9, 0.4, 0.7]))
-SIZE = (64, 128)
-
-
-def ball(pose, size):
-    directions = pixel_directions(*size) @ pose.rotation.T
-    offset = pose.position - CENTRE
-    slope = directions @ offset
-    depth = -slope + np.sqrt(slope**2 - offset @ offset + RADIUS**2)
-    return 1.0 / depth, (0.5 + 0.5 * (offset + depth[..., None] * directions) / RADIUS).astype(np.float32)
 
 
 def view(pose, size, *, hole=False, mask=None):

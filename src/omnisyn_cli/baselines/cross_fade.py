@@ -62,22 +62,18 @@ class _FlowPair(_CrossFadePair):
 
     def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """The average of both, moved, as numbers."""
-        self._find_flow(waypoint.pose)
+        if self._rotation is None or not np.array_equal(waypoint.pose.rotation, self._rotation):
+            with self._clock("render"):
+                self._turned = self._turned_to(waypoint.pose)
+            with self._clock("flow"):
+                self._flows = optical_flow(*self._turned), optical_flow(*self._turned[::-1])
+            self._rotation = waypoint.pose.rotation
         (first, second), (forth, back), t = self._turned, self._flows, waypoint.t
         with self._clock("render"):
             pictures = moved(first, np.float32(t) * back), moved(second, np.float32(1 - t) * forth)
         with self._clock("fuse"):
             image = np.asarray((1 - t) * pictures[0] + t * pictures[1], np.float32)
             return Frame(np.maximum(image, np.float32(0)), waypoint, None)
-
-    def _find_flow(self, pose: Pose) -> None:
-        if self._rotation is not None and np.array_equal(pose.rotation, self._rotation):
-            return
-        with self._clock("render"):
-            self._turned = self._turned_to(pose)
-        with self._clock("flow"):
-            self._flows = optical_flow(*self._turned), optical_flow(*self._turned[::-1])
-        self._rotation = pose.rotation
 
 
 class CrossFadeMethod:

@@ -111,7 +111,10 @@ class Executor(AbstractContextManager["Executor"], Protocol):
 
 def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None, None]:
     """Do all jobs, expensive groups first, as they end; dead workers are replaced, a job that kills two fails."""
-    waiting = deque(_groups(jobs))
+    groups: dict[tuple[str, str], deque[Job]] = {}
+    for job in jobs:
+        groups.setdefault(("job", job.key) if job.group is None else ("group", job.group), deque()).append(job)
+    waiting = deque(sorted(groups.values(), key=lambda group: -sum(job.cost for job in group)))
     groups_of_workers: dict[int, deque[Job]] = {}
     running: dict[int, Job] = {}
     deaths: Counter[str] = Counter()
@@ -139,14 +142,6 @@ def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None
                     waiting.appendleft(rest)
                 if is_lost:
                     yield Outcome(job, _lost(answer), deaths[job.key])
-
-
-def _groups(jobs: Iterable[Job]) -> list[deque[Job]]:
-    """Jobs by group in the order given; the most expensive group first."""
-    groups: dict[tuple[str, str], deque[Job]] = {}
-    for job in jobs:
-        groups.setdefault(("job", job.key) if job.group is None else ("group", job.group), deque()).append(job)
-    return sorted(groups.values(), key=lambda group: -sum(job.cost for job in group))
 
 
 def _lost(death: str) -> Answer:

@@ -54,7 +54,6 @@ class Records:
         with write_errors(self._path):
             self._file = self._path.open("ab+")
         try:
-            self._claim()
             self._read()
         except BaseException:
             self._file.close()
@@ -79,15 +78,13 @@ class Records:
             self._file.flush()
             os.fsync(self._file.fileno())
 
-    def _claim(self) -> None:
+    def _read(self) -> None:
         try:
             lock(self._file.fileno())
         except OSError as error:
             raise OutputPathError(
                 f"{self._path}: expected a folder that no other batch works in, got one in use; wait for its end"
             ) from error
-
-    def _read(self) -> None:
         self._file.seek(0)
         whole = 0
         for line in self._file:

@@ -47,7 +47,13 @@ def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
             f"{source}: expected two panoramas at most {options.max_baseline:g} m apart, got none; "
             "allow more (--max-baseline)"
         )
-    return _with_unique_ids(lines)
+    taken: set[str] = set()
+    for line in lines:
+        name, number = line["id"], 2
+        while line["id"] in taken:
+            line["id"], number = f"{name}-{number}", number + 1
+        taken.add(line["id"])
+    return lines
 
 
 def write_manifest(path: Path, lines: Iterable[Mapping[str, Any]], *, overwrite: bool = False) -> None:
@@ -140,16 +146,6 @@ def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, 
 
 def _safe_name(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).lstrip(".-") or "_"
-
-
-def _with_unique_ids(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    taken: set[str] = set()
-    for line in lines:
-        name, number = line["id"], 2
-        while line["id"] in taken:
-            line["id"], number = f"{name}-{number}", number + 1
-        taken.add(line["id"])
-    return lines
 
 
 def _relative(line: Mapping[str, Any], folder: Path) -> dict[str, Any]:

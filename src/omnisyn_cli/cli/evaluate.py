@@ -64,18 +64,12 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
     "scene, first, second.  [default: the first and the last]",
 )  # fmt: skip
 @click.option(
-    "--tours", is_flag=True,
-    help="Compare each method with itself in a tour, where depth is fused from both neighbours. Every second frame is "
-    "an input unless --pairs names others.",
-)  # fmt: skip
-@click.option(
     "--leave-out", is_flag=True,
     help="DATASET_DIR has photographs of tours: each is left out once and compared with the frame made of its "
     "neighbours. Poses come from poses.json, else they are estimated.",
 )  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of poses.json.")
-@click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
 @click.option("--no-pictures", is_flag=True, help="Save no frames, error maps and depth maps.")
 @device_option("What makes frames and runs networks; everything else runs on the processor.")
 @threads_option
@@ -89,7 +83,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     omnisyn eval scenes/ --report report/ --methods all
     omnisyn eval scenes/ --methods matching,crossfade,oracle-depth --size 512x256
     omnisyn eval Town06/ --format carla --pairs every:5 --report report/
-    omnisyn eval walks/ --tours --methods omnisyn-balanced
+    omnisyn eval walks/ --pairs every:2 --methods omnisyn-balanced,omnisyn-balanced:neighbours=2
     omnisyn eval photographs/ --leave-out --report report/
 
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, and those

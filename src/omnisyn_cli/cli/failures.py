@@ -48,8 +48,13 @@ def failure_of(error: BaseException) -> tuple[str, int] | None:
         case ImportError(name=str() as name) if extra := EXTRAS.get(name.split(".")[0]):
             remedy = f"python -m pip install 'omnisyn-cli[{extra}]'"
             return f"expected the package {name}, found none; {remedy}", EXIT_FAILURE
+        case OSError(filename=None):
+            remedy = REMEDIES.get(error.errno or 0, "check limits and disks")
+            reason = f"expected the system to do what the work needs, got '{error.strerror or error}'"
+            return f"{reason}; {remedy}", EXIT_FAILURE
         case OSError():
-            return _about(error), EXIT_FAILURE
+            reason = f"expected a place that can be used, got '{error.strerror or error}'"
+            return f"{error.filename}: {reason}; check its name and permissions", EXIT_FAILURE
     return None
 
 
@@ -61,12 +66,3 @@ def _signs_of_memory(error: BaseException | None) -> Iterator[str]:
         elif not isinstance(error, OmnisynError):
             yield from (f"'{sign}'" for sign in MEMORY_SIGNS if sign in str(error))
         error = error.__cause__ or error.__context__
-
-
-def _about(error: OSError) -> str:
-    """What the system refused, with the file if it names one."""
-    reason = error.strerror or error
-    if error.filename is None:
-        remedy = REMEDIES.get(error.errno or 0, "check limits and disks")
-        return f"expected the system to do what the work needs, got '{reason}'; {remedy}"
-    return f"{error.filename}: expected a place that can be used, got '{reason}'; check its name and permissions"

@@ -210,15 +210,16 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
 
     An output that nobody named has this ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
     """
-    from omnisyn_cli.interpolation.inputs import along_path, named_tour, poses_beside
+    from omnisyn_cli.interpolation.inputs import along_path, named_tour
     from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
+    from omnisyn_cli.poses.file import POSES_NAME
 
     images, poses, output = options["images"], options["poses"], options["output"]
     path = options.get("path")
     lacking = ""
     if len(images) == 1 and not images[0].is_dir():
         lacking = f"{images[0]}: expected two or more panoramas or a folder of them, got one; name another"
-    elif poses is None and not poses_beside(images):
+    elif poses is None and not (images[0].is_dir() or (images[0].parent / POSES_NAME).is_file()):
         lacking = (
             f"expected --poses, or a poses.json beside {images[0]}, got neither; have poses found in the pictures "
             "(--poses auto), or name the pose file (--poses FILE)"

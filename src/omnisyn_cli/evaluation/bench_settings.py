@@ -114,7 +114,11 @@ def run_bench(
     """
     make_folder(report, "results")
     path = report / RESULTS_NAME
-    known = {figures.key: figures for figures in _read(path) if figures.status == "done"}
+    try:
+        former = [FIGURES.validate_python(json.loads(line)) for line in complete_lines(path)]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
+    known = {figures.key: figures for figures in former if figures.status == "done"}
     files = Fingerprints()
     measured: list[Figures] = []
     for run in runs:
@@ -134,14 +138,6 @@ def run_bench(
 def machine_in_words() -> str:
     """System, processor and number of cores."""
     return f"{platform.system()} {platform.machine()}, {available_threads()} cores"
-
-
-def _read(path: Path) -> list[Figures]:
-    """All complete lines of an earlier run."""
-    try:
-        return [FIGURES.validate_python(json.loads(line)) for line in complete_lines(path)]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
 
 
 COMPILING_MESSAGE = "compiling"  # what a process says, before its figures, when it compiles kernels

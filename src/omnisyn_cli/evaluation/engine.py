@@ -24,14 +24,13 @@ from omnisyn_cli.evaluation.datasets.sources import (
 )
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.grouping import BOUND, median_depth
-from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
+from omnisyn_cli.evaluation.measure import measure
 from omnisyn_cli.evaluation.methods import (
     PHOTOGRAPH_METHODS,
     ComparedMethod,
     MethodAtWork,
     MethodUnavailableError,
     PairDepths,
-    also_in_tours,
     find_methods,
 )
 from omnisyn_cli.evaluation.results import RESULTS_NAME, Status, UnitRecord, read_records, worst_frames
@@ -42,7 +41,6 @@ from omnisyn_cli.io.documents import append_line
 from omnisyn_cli.io.outputs import make_folder
 
 KnownRecords = dict[tuple[str, str, str, str], UnitRecord]  # The last record of every unit.
-DEFAULT_TOUR_PAIRS = "every:2"  # pairs of tours unless others are asked for
 
 
 @dataclass(frozen=True)
@@ -55,14 +53,10 @@ class EvaluationJob:
     layout: str = "auto"  # of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``
     pairs: str | None = None  # which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.sources`
     size: tuple[int, int] | None = None  # (height, width) of the comparison; None means that of the true frames
-    lpips: Path | None = None  # ONNX file for a perceptual distance
     pictures: bool = True  # keep frames, error maps and depth as pictures
     device: str = "auto"  # where networks run
     threads: int | None = None  # at most this many; None is one per core
     allow_outside: bool = False  # accept depth and masks that ``poses.json`` names outside of its folder
-    # compare methods that look for depth with themselves in tours; every second frame is an input then, unless
-    # ``pairs`` says otherwise
-    tours: bool = False
     # photographs of tours: each is the truth between its neighbours, unless ``pairs`` names others
     leave_out: bool = False
     command: str = "from Python"  # that asked for all this, as the report says
@@ -87,11 +81,11 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     """Read all poses, no picture; InputError: no scenes, no such method, unclear or absent pairs, a size not 2:1."""
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
-    if job.leave_out and (job.tours or job.layout != "auto"):
-        raise InputError("expected --leave-out alone, got --tours or --format with it; leave one of them out")
-    methods = also_in_tours(find_methods(job.methods)) if job.tours else find_methods(job.methods)
+    if job.leave_out and job.layout != "auto":
+        raise InputError("expected --leave-out alone, got --format with it; leave one of them out")
+    methods = find_methods(job.methods)
     has_tours = any(method.is_in_tour for method in methods)
-    choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else AROUND_PAIRS if job.leave_out else None))
+    choose = choose_pairs(job.pairs or (AROUND_PAIRS if job.leave_out else None))
     if job.leave_out:
         sources = tours_of_photographs(job.dataset, choose, job.report, job.threads, allow_outside=job.allow_outside)
         choose = choose_pairs(None)
@@ -129,8 +123,8 @@ def evaluate(
     """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
 
     Their report is written at the end, and after an interruption as well. ``on_unit`` gets the number of finished units
-    and the last record. InputError: unreadable earlier results, or no network for ``lpips``; OutputPathError,
-    WriteError: the folder of the report cannot be written.
+    and the last record. InputError: unreadable earlier results; OutputPathError, WriteError: the folder of the report
+    cannot be written.
     """
     folder, records, units = plan.job.report, list[UnitRecord](), 0
     make_folder(folder, "the report")
@@ -160,15 +154,9 @@ class _UnitRunner:
     def __init__(self, job: EvaluationJob) -> None:
         self._job, self._fingerprints = job, Fingerprints()
         self._still = cache(still_region_of)
-        self._perceptual: Perceptual | None = None
         self._options: dict[str, Any] = {
             "size": job.size, "pictures": job.pictures, "device": job.device, "leave_out": job.leave_out,
         }  # fmt: skip
-        if job.lpips is not None:
-            from omnisyn_cli.evaluation.metrics.lpips import Lpips
-
-            self._perceptual = Lpips(job.lpips, threads=job.threads)
-            self._options["lpips"] = self._fingerprints.of_file(job.lpips)
 
     def records(self, pair: Pair, methods: tuple[ComparedMethod, ...], known: KnownRecords) -> Iterator[UnitRecord]:
         """One record for every method, the known one where nothing has changed."""
@@ -215,7 +203,7 @@ class _UnitRunner:
                 method, loaded.views, threads=threads, device=device, known=depths, around=loaded.around,
                 still=loaded.still,
             )  # fmt: skip
-            made = measure(at_work, loaded, (blank.first, blank.second), self._perceptual, threads)
+            made = measure(at_work, loaded, (blank.first, blank.second), threads)
         except MethodUnavailableError as error:
             return replace(blank, status="unavailable", reason=one_line(error))
         except Exception as error:  # noqa: BLE001 - one broken method must not end a comparison of many
@@ -224,8 +212,12 @@ class _UnitRunner:
         if self._job.pictures:
             writer = PictureWriter(self._job.report, pair, blank.method)
             frames, of_views = writer.frames(loaded, made), writer.depths(loaded, made)
+        known = loaded.views[0].known_depth
+        if known is None and loaded.are_photographs and made.found is not None:  # whose true depth nobody knows
+            known = made.found[0]
+        depth = None if known is None else median_depth(known.inverse_depth)
         return replace(
-            blank, status="done", size=loaded.size, median_depth=_median_depth_of(loaded, made), frames=frames,
+            blank, status="done", size=loaded.size, median_depth=depth, frames=frames,
             depths=of_views, temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
         )  # fmt: skip
 
@@ -234,11 +226,3 @@ def one_line(error: Exception) -> str:
     """The message of an error; for those that this package did not expect, with their kind."""
     text = " ".join(str(error).split())
     return text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}"
-
-
-def _median_depth_of(loaded: LoadedPair, made: Measurement) -> float | None:
-    """Of the first panorama; between photographs, whose true depth nobody knows, that which the method has found."""
-    known = loaded.views[0].known_depth
-    if known is None and loaded.are_photographs and made.found is not None:
-        known = made.found[0]
-    return None if known is None else median_depth(known.inverse_depth)

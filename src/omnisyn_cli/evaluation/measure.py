@@ -33,8 +33,6 @@ from omnisyn_cli.types import DepthEstimate, View
 CLIP_FRAMES, CLIP_STEP, CLIP_HEIGHT = 9, 1 / 60, 256
 END_SHARE = 1e-6  # share of the way from a panorama at which a frame is rendered rather than the photograph shown
 
-# A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`.
-Perceptual = Callable[[np.ndarray, np.ndarray], float]
 # Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`.
 PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
 
@@ -53,17 +51,14 @@ class Measurement:
     seconds: dict[str, float]  # for the targets, by stage, with their ``total``; clips and ends are not counted
 
 
-def measure(
-    method: PairMaker, pair: LoadedPair, names: tuple[str, str], perceptual: Perceptual | None = None,
-    threads: int | None = None,
-) -> Measurement:  # fmt: skip
-    """Make and measure a pair's targets, a clip and both ends; ``names`` of panoramas; ``perceptual`` is ``lpips``."""
+def measure(method: PairMaker, pair: LoadedPair, names: tuple[str, str], threads: int | None = None) -> Measurement:
+    """Make and measure a pair's targets, a clip and both ends; ``names`` of panoramas."""
     clock = Stopwatch()
     made = method(pair.size, clock)
     images = tuple(_clip_to_unit(made.frame(target.waypoint).image) for target in pair.targets)
     seconds = dict(clock.seconds)
     kinds = tuple(_kinds_at(made, target.waypoint, pair.size) for target in pair.targets)
-    frames = tuple(_frame_records(images, kinds, pair, perceptual))
+    frames = tuple(_frame_records(images, kinds, pair))
     has_parallax = not at_same_position(*(view.pose for view in pair.views))
     clip = _clip_measures(method, made, pair) if has_parallax else {}
     found = made.depths if has_parallax else None
@@ -80,9 +75,7 @@ def _kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Masks:
     return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **metrics.end_masks(size)}
 
 
-def _frame_records(
-    images: Sequence[Picture], kinds: Sequence[Masks], pair: LoadedPair, perceptual: Perceptual | None
-) -> Iterator[FrameRecord]:
+def _frame_records(images: Sequence[Picture], kinds: Sequence[Masks], pair: LoadedPair) -> Iterator[FrameRecord]:
     """Of every picture: its shards; against true frames also its own scores, how it changed, how much of it flies."""
     photographs = PhotographEdges(pair.views, pair.size)
     is_depth_known = all(view.known_depth is not None for view in pair.views)
@@ -93,7 +86,7 @@ def _frame_records(
         if isinstance(target, TrueFrame) and target.usable is not None:
             scores = photograph_scores(image, target.image, target.usable) | scores
         elif isinstance(target, TrueFrame):
-            scores = frame_scores(image, target.image, perceptual) | scores
+            scores = frame_scores(image, target.image) | scores
             by_kind = metrics.kind_figures(image, target.image, masks)
             if number > 0:
                 scores["change_psnr"] = changes[number - 1]
@@ -107,7 +100,7 @@ def _clip_to_unit(image: Picture) -> Picture:
     return np.asarray(np.clip(image, 0.0, 1.0))
 
 
-def frame_scores(image: Picture, truth: Picture, perceptual: Perceptual | None = None) -> dict[str, float]:
+def frame_scores(image: Picture, truth: Picture) -> dict[str, float]:
     """All measures of :class:`omnisyn_cli.evaluation.results.FrameRecord`; no structural ones below 11 rows."""
     scores = {
         "ws_psnr": metrics.ws_psnr(image, truth),
@@ -118,8 +111,6 @@ def frame_scores(image: Picture, truth: Picture, perceptual: Perceptual | None =
     }
     if len(truth) >= metrics.SSIM_WINDOW:
         scores.update(ws_ssim=metrics.ws_ssim(image, truth), ssim=metrics.ssim(image, truth))
-    if perceptual is not None:
-        scores["lpips"] = perceptual(image, truth)
     return scores
 
 

@@ -20,7 +20,7 @@ from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.grouping import BOUND, TOUR_PARAMETER
 from omnisyn_cli.evaluation.simulated_prior import NAME as SIMULATED_PRIOR
 from omnisyn_cli.evaluation.simulated_prior import SimulatedModel
-from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -39,7 +39,7 @@ from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
 FIRST_VIEW_SHARE = 1e-9  # share of the way at which the exposure of a frame is still that of the first view
 
@@ -115,7 +115,7 @@ class MethodAtWork:
 
     def __call__(self, size: tuple[int, int], clock: Stopwatch) -> Pair:
         """The pair ready for frames of a size; seconds by stage go to the stopwatch."""
-        fuser = _FirstViewOnly(size, self._threads) if self._method.shows_first_only else None
+        fuser = _FirstViewOnly(size, threads=self._threads) if self._method.shows_first_only else None
         with _unavailable_without_network():
             method = make_method(
                 self._config, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
@@ -172,17 +172,13 @@ def _resized(estimate: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     return replace(estimate, inverse_depth=inverse_depth, confidence=confidence)
 
 
-class _FirstViewOnly:
+class _FirstViewOnly(GeometricFuser):
     """A fuser that is blind to the second view."""
 
-    def __init__(self, size: tuple[int, int], threads: int | None) -> None:
-        self._fuser: Fuser = GeometricFuser(size, threads=threads)
-
     def __call__(
-        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
-        confidence: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
-        return self._fuser(first, _nothing_of(second), t, out, confidence)
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
+    ) -> Picture:
+        return super().__call__(first, _nothing_of(second), t, out, confidence)
 
 
 def _nothing_of(view: Layer) -> Layer:
@@ -335,17 +331,6 @@ PHOTOGRAPH_METHODS = (
     "crossfade", "flow", "matching:nadir=auto", f"omnisyn-{DEFAULT_PRESET}:nadir=auto",
     f"omnisyn-{DEFAULT_PRESET}:fallback=soft:nadir=auto",
 )  # fmt: skip
-
-
-def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
-    """Each method and, where it looks for depth, the same in a tour."""
-    asked = dict.fromkeys(
-        name
-        for method in methods
-        for name in (method.name, f"{method.name}:{TOUR_PARAMETER}")
-        if name == method.name or (method.config.estimates_depth and not method.is_in_tour)
-    )
-    return [find_method(name) for name in asked]
 
 
 def find_methods(text: str) -> list[ComparedMethod]:

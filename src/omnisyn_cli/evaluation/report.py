@@ -24,9 +24,10 @@ from omnisyn_cli.evaluation.grouping import Gap, figures_of, finished, gaps
 from omnisyn_cli.evaluation.plots import PLOT_TITLES, pareto_plot, report_plots
 from omnisyn_cli.evaluation.results import UnitRecord, json_values
 from omnisyn_cli.evaluation.tables import ERROR_NOTE, Cell, Column, Row, Table, format_cell, report_tables
-from omnisyn_cli.evaluation.visualization import ERROR_SCALE, data_uri, depth_sections, frame_sections
+from omnisyn_cli.evaluation.visualization import ERROR_SCALE, depth_sections, frame_sections
 from omnisyn_cli.interpolation.planning import figures as planned
 from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures
+from omnisyn_cli.io.encode import data_uri
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 # ``subject`` is what was measured: ``frame``, ``kind-psnr``, ``kind-area``, ``kind-error`` (of the pixels of a kind,

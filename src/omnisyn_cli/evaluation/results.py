@@ -31,10 +31,9 @@ class FrameRecord:
     name: str  # of the true frame, as the data set calls it, or ``half way``
     t: float  # share of the way from the first panorama to the second, by distance, in (0, 1)
     distance: float  # metres to the nearer of the two panoramas
-    # ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``, ``lrce``,
-    # and ``lpips`` if a network for it was given; ``change_psnr`` of all but the first, see
-    # :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, and
-    # ``shards`` of all frames, the only one without a true frame, see
+    # ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``, ``lrce``;
+    # ``change_psnr`` of all but the first, see :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying``
+    # where true depth is known, and ``shards`` of all frames, the only one without a true frame, see
     # :mod:`omnisyn_cli.evaluation.metrics.artefacts`.
     scores: Mapping[str, float]
     # ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the report, with

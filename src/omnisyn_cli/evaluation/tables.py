@@ -83,7 +83,6 @@ FRAMES = Means(
         "ws_ssim": Column("WS-SSIM", 1, 4),
         "ssim": Column("SSIM", 1, 4),
         "lrce": Column("LRCE", -1, 4),
-        "lpips": Column("LPIPS", -1, 4),
         "aligned_psnr": Column("WS-PSNR aligned, dB", 1),
         "aligned_ssim": Column("WS-SSIM aligned", 1, 4),
         "misplacement": Column("Misplacement, degrees", -1),
@@ -196,8 +195,12 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
 def mean_table(records: Sequence[UnitRecord]) -> Table:
     """Means of all scores per method, the best method first, and the reasons of those that measured nothing."""
     table = method_table(records, FRAMES)
-    shown = {row.name for row in table.rows}
-    absent = [Row(name, (), _reasons(records, name)) for name in grouping.ranked_methods(records) if name not in shown]
+    shown, absent = {row.name for row in table.rows}, []
+    gaps = sorted(grouping.gaps(records), key=lambda gap: -len(gap.pairs))  # the most frequent reason first
+    for method in grouping.ranked_methods(records):
+        if method not in shown:
+            reasons = "; ".join(f"{gap.status}: {gap.reason}" for gap in gaps if gap.method == method)
+            absent.append(Row(method, (), reasons or "no frame between the panoramas"))
     return replace(table, rows=(*table.rows, *absent))
 
 
@@ -327,12 +330,6 @@ def _cells(samples: Sequence[grouping.Sample], better: Sequence[int]) -> tuple[C
         Cell(mean(sample.values()), len(sample), grouping.error_and_groups(sample)[0], is_best)
         for sample, is_best in zip(samples, grouping.undominated(signed), strict=True)
     )
-
-
-def _reasons(records: Sequence[UnitRecord], method: str) -> str:
-    """Why a method measured nothing: each reason once, the most frequent first."""
-    found = sorted((gap for gap in grouping.gaps(records) if gap.method == method), key=lambda gap: -len(gap.pairs))
-    return "; ".join(f"{gap.status}: {gap.reason}" for gap in found) or "no frame between the panoramas"
 
 
 def format_cell(cell: Cell, digits: int) -> str:

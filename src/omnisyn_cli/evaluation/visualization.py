@@ -4,7 +4,6 @@ The page of a report shows the worst frames of every method first, and depth bes
 from the folder of the report, made small and put into the page itself.
 """
 
-import base64
 import hashlib
 import math
 import re
@@ -24,6 +23,7 @@ from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord
 from omnisyn_cli.evaluation.tables import format_value
 from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame
 from omnisyn_cli.io import write_image
+from omnisyn_cli.io.encode import data_uri
 from omnisyn_cli.io.outputs import real_path, write_errors
 from omnisyn_cli.types import DepthEstimate
 
@@ -185,11 +185,6 @@ def depth_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
         if pictures := _depth_pictures(folder, {method: depths[method] for method in ranked if method in depths}):
             sections[panorama] = {"": pictures}
     return sections
-
-
-def data_uri(data: bytes, kind: str) -> str:
-    """A picture file of a kind (``png``, ``jpeg``) as an address that holds all of it."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def embedded_picture(path: Path) -> str | None:

@@ -44,17 +44,20 @@ def target_tables(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.nda
     """:func:`omnisyn_cli.geometry.sphere.direction_tables` of a panorama, and what stands for it of a perspective."""
     if not isinstance(size, PerspectiveSize):
         return direction_tables(*size)
-    (down, across), (height, width) = size.half_extent, size
-    rows = down * (1.0 - (2.0 * np.arange(height) + 1.0) / height)
-    cols = across * ((2.0 * np.arange(width) + 1.0) / width - 1.0)
-    return np.ones(height), rows, cols, np.ones(width)
+    y, x = _on_plane(size, size)
+    return np.ones(len(y)), y, x, np.ones(len(x))
 
 
 def cell_directions(size: tuple[int, int], grid: tuple[int, int]) -> Float[np.ndarray, "rows cols 3"]:
     """Rays through the middles of a grid of cells over a picture."""
     if not isinstance(size, PerspectiveSize):
         return pixel_directions(*grid)
+    y, x = _on_plane(size, grid)
+    return np.stack(np.broadcast_arrays(x, y[:, None], -1.0), axis=-1)
+
+
+def _on_plane(size: PerspectiveSize, grid: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Y of the rows and x of the columns of a grid over a picture, on the plane at distance 1."""
     (down, across), (rows, cols) = size.half_extent, grid
-    y = down * (1.0 - (2.0 * np.arange(rows) + 1.0) / rows)[:, None]
-    x = across * ((2.0 * np.arange(cols) + 1.0) / cols - 1.0)[None, :]
-    return np.stack(np.broadcast_arrays(x, y, -1.0), axis=-1)
+    y = down * (1.0 - (2.0 * np.arange(rows) + 1.0) / rows)
+    return y, across * ((2.0 * np.arange(cols) + 1.0) / cols - 1.0)

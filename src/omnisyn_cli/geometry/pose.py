@@ -17,6 +17,8 @@ SMALL_ANGLE = 1e-8  # below this (radians) sin(x)/x is 1 in float64, as x²/6 is
 # Of the ellipsoid of WGS84: metres from its centre to the equator, and 2f − f² of its flattening f.
 SEMI_MAJOR_AXIS, ECCENTRICITY_SQUARED = 6378137.0, (2.0 - 1.0 / 298.257223563) / 298.257223563
 
+Rotations = Float[np.ndarray, "*#batch 3 3"]
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -111,11 +113,7 @@ def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarra
     return np.asarray(np.linalg.norm(rotation_vector_from_rotation(rotation), axis=-1))
 
 
-def slerp(
-    first: Float[np.ndarray, "*#batch 3 3"],
-    second: Float[np.ndarray, "*#batch 3 3"],
-    t: float | Float[np.ndarray, "*#batch"],
-) -> Float[np.ndarray, "*#batch 3 3"]:
+def slerp(first: Rotations, second: Rotations, t: float | Float[np.ndarray, "*#batch"]) -> Rotations:
     """The rotation a share ``t`` of the shortest way from ``first`` to ``second``; exact at 0 and 1."""
     share = np.asarray(t)[..., None]
     turn = rotation_vector_from_rotation(np.swapaxes(first, -1, -2) @ second)
@@ -135,10 +133,8 @@ def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0)
     ``heading`` is clockwise from north seen from above, ``pitch`` lifts the centre above the horizon, ``roll`` turns
     the camera clockwise about its line of sight. Source: GPano XMP ``PoseHeadingDegrees`` and its like.
     """
-    turn = rotation_from_rotation_vector
-    about_up = turn(np.array([0.0, -heading, 0.0]))
-    about_right = turn(np.array([pitch, 0.0, 0.0]))
-    about_forward = turn(np.array([0.0, 0.0, -roll]))
+    vectors = np.array([[0.0, -heading, 0.0], [pitch, 0.0, 0.0], [0.0, 0.0, -roll]])
+    about_up, about_right, about_forward = map(rotation_from_rotation_vector, vectors)
     return np.asarray(about_up @ about_right @ about_forward)
 
 
@@ -180,6 +176,23 @@ def ecef_position(latitude: float, longitude: float, altitude: float) -> Float[n
     return np.array(
         [ring * math.cos(lam), ring * math.sin(lam), (normal * (1.0 - ECCENTRICITY_SQUARED) + altitude) * math.sin(phi)]
     )
+
+
+def geographic_from_ecef(position: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    """Latitude and longitude in degrees and altitude in metres: the inverse of :func:`ecef_position` near the earth."""
+    x, y, z = position.tolist()
+    ring, phi = math.hypot(x, y), math.atan2(z, math.hypot(x, y))
+    for _ in range(8):  # each takes the error to a 150th of what it was
+        normal = SEMI_MAJOR_AXIS / math.sqrt(1.0 - ECCENTRICITY_SQUARED * math.sin(phi) ** 2)
+        phi = math.atan2(z + ECCENTRICITY_SQUARED * normal * math.sin(phi), ring)
+    altitude = ring * math.cos(phi) + z * math.sin(phi) - SEMI_MAJOR_AXIS**2 / normal
+    return math.degrees(phi), math.degrees(math.atan2(y, x)), altitude
+
+
+def enu_from_ecef(origin: tuple[float, float, float]) -> Pose:
+    """From earth-centred axes to the local ones of an origin: x east, y north, z up."""
+    axes = enu_axes(*origin[:2])
+    return Pose(axes, -axes @ ecef_position(*origin))
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:

@@ -15,6 +15,7 @@ from jaxtyping import Float, Integer, Shaped
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 
 Array = Any  # numpy.ndarray or torch.Tensor
+Pixels = Shaped[np.ndarray, "height width *channels"]
 
 CATMULL_ROM_SLOPE = -0.5  # slope parameter of Keys' cubic convolution that reproduces quadratics
 
@@ -32,39 +33,31 @@ def _inside(xp: Any, row: Array, height: int) -> tuple[Array, Array]:
     return xp.where(above, -1 - row, xp.where(below, 2 * height - 1 - row, row)), above | below
 
 
-def add_border(image: Shaped[np.ndarray, "height width *channels"], border: int) -> Shaped[np.ndarray, "rows cols ..."]:
+def add_border(image: Pixels, border: int) -> Shaped[np.ndarray, "rows cols ..."]:
     """A copy with ``border`` more rows and columns on all sides, as the sphere goes on; at most the image's height."""
     height, width = image.shape[:2]
     row, col = np.arange(-border, height + border)[:, None], np.arange(-border, width + border)[None, :]
     return np.ascontiguousarray(image[wrap_pixel(row, col, height, width)])
 
 
-def add_columns(
-    image: Shaped[np.ndarray, "height width *channels"], columns: int
-) -> Shaped[np.ndarray, "height cols ..."]:
+def add_columns(image: Pixels, columns: int) -> Shaped[np.ndarray, "height cols ..."]:
     """The image with ``columns`` more on either side, from over the seam; a copy."""
     return np.pad(image, ((0, 0), (columns, columns), *((0, 0) for _ in image.shape[2:])), mode="wrap")
 
 
-def filter_across_seam(
-    apply: Callable[[np.ndarray], np.ndarray], image: Shaped[np.ndarray, "height width *channels"], reach: int
-) -> Shaped[np.ndarray, "height width ..."]:
+def filter_across_seam(apply: Callable[[np.ndarray], np.ndarray], image: Pixels, reach: int) -> Pixels:
     """A filter that keeps the size and looks ``reach`` columns aside, where columns wrap; rows are its own affair."""
     return apply(add_columns(image, reach))[:, reach : reach + image.shape[1]]
 
 
-def window_max(
-    image: Shaped[np.ndarray, "height width *channels"], reach: int
-) -> Shaped[np.ndarray, "height width ..."]:
+def window_max(image: Pixels, reach: int) -> Pixels:
     """The greatest value within ``reach`` (a square); columns wrap. Types that OpenCV dilates: no bool or wide ints."""
     import cv2  # loaded only here: a plan needs this module, and no more
 
     return filter_across_seam(partial(cv2.dilate, kernel=_square(reach)), image, reach)
 
 
-def window_min(
-    image: Shaped[np.ndarray, "height width *channels"], reach: int
-) -> Shaped[np.ndarray, "height width ..."]:
+def window_min(image: Pixels, reach: int) -> Pixels:
     """The least value at most ``reach`` rows and columns away (erosion by a square); as :func:`window_max`."""
     import cv2  # loaded only here: a plan needs this module, and no more
 
@@ -95,9 +88,8 @@ def sample_bilinear_at(
 
 
 def grid_subsample(
-    image: Shaped[np.ndarray, "height width *channels"], rows: Integer[np.ndarray, " rows"],
-    cols: Integer[np.ndarray, " cols"],
-) -> Shaped[np.ndarray, "rows cols *channels"]:  # fmt: skip
+    image: Pixels, rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"]
+) -> Shaped[np.ndarray, "rows cols *channels"]:
     """The pixels at the crossings of some rows and columns, given as ascending indices; even steps are faster."""
     if _is_evenly_spaced(rows) and _is_evenly_spaced(cols):
         row_slice, col_slice = (slice(index[0], index[-1] + 1, index[1] - index[0]) for index in (rows, cols))

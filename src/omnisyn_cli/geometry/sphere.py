@@ -31,17 +31,13 @@ LINEARISED_CAP = math.radians(10.0)
 def pixel_to_angles(row: Array, col: Array, size: tuple[int, int]) -> tuple[Array, Array]:
     """Azimuth and polar angle in radians of (fractional) pixel indices in an image of ``size = (height, width)``."""
     height, width = size
-    azimuth = (col + 0.5) * (2.0 * math.pi / width) - math.pi
-    polar_angle = (row + 0.5) * (math.pi / height)
-    return azimuth, polar_angle
+    return (col + 0.5) * (2.0 * math.pi / width) - math.pi, (row + 0.5) * (math.pi / height)
 
 
 def angles_to_pixel(azimuth: Array, polar_angle: Array, size: tuple[int, int]) -> tuple[Array, Array]:
     """Fractional ``(row, col)`` indices of angles in radians; the column is not wrapped."""
     height, width = size
-    row = polar_angle * (height / math.pi) - 0.5
-    col = (azimuth + math.pi) * (width / (2.0 * math.pi)) - 0.5
-    return row, col
+    return polar_angle * (height / math.pi) - 0.5, (azimuth + math.pi) * (width / (2.0 * math.pi)) - 0.5
 
 
 def pixel_scale(size: tuple[int, int]) -> tuple[float, float, float, float]:

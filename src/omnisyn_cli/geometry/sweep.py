@@ -26,6 +26,7 @@ from omnisyn_cli.geometry.sphere import UP, pixel_directions
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
 Array = Any  # numpy.ndarray or torch.Tensor
+Map = Float[np.ndarray, "height width"]
 
 # Inverse depth × baseline that the other camera may be short of: below it two values both mean infinity.
 FREE_SPACE_SLACK = 1e-3
@@ -92,14 +93,12 @@ def sweep_directions(
 ) -> Float[Array, "*batch 3"]:
     """Where the second camera sees points on a sphere around the first, not normalised: ``R·d + ρ·t``.
 
-    ``directions`` are unit vectors of the first; inverse depths (1/metre, 0 at infinity) broadcast against their first
-    axes.
+    Directions are unit vectors; inverse depths (1/metre, 0 at infinity) broadcast against their first axes.
     """
     xp = array_namespace(directions, inverse_depth)
     rotation = xp.asarray(second_from_first.rotation, dtype=directions.dtype)
     translation = xp.asarray(second_from_first.position, dtype=directions.dtype)
-    turned = directions @ rotation.T
-    return turned + inverse_depth[..., None] * translation
+    return directions @ rotation.T + inverse_depth[..., None] * translation
 
 
 def motion_in_baselines(first: Pose, second: Pose) -> Pose:
@@ -117,18 +116,14 @@ def reproject_to_second(
     return moved, exact / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
 
 
-def free_space_agreement(
-    inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
-) -> Float[np.ndarray, "height width"]:
+def free_space_agreement(inverse_depth: Map, other: Map, other_from_this: Pose) -> Map:
     """1 where nothing contradicts an estimate (occlusion does not), 0 where the other sees through; in baselines."""
     expected, seen = _expected_and_seen(inverse_depth, other, other_from_this)
     too_far = np.maximum(expected - seen - FREE_SPACE_SLACK, 0.0) / np.maximum(expected, FREE_SPACE_SLACK)
     return np.asarray(1.0 / (1.0 + (too_far / SAME_SURFACE_TOLERANCE) ** 2), np.float32)
 
 
-def neighbourhood_agreement(
-    inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
-) -> Float[np.ndarray, "height width"]:
+def neighbourhood_agreement(inverse_depth: Map, other: Map, other_from_this: Pose) -> Map:
     """1 where both estimates agree around a pixel, ½ where they differ by :data:`HALF_CONFIDENCE_DISAGREEMENT` there.
 
     A pixel that agrees amid others that do not often does by chance. An occluded surface is not confirmed: it counts as

@@ -43,12 +43,5 @@ class TexturedMesh:
 
     def face_areas(self) -> Float[np.ndarray, " faces"]:
         """Square metres."""
-        return np.asarray(0.5 * np.linalg.norm(self.face_normals(normalised=False), axis=1))
-
-    def face_normals(self, *, normalised: bool = True) -> Float[np.ndarray, "faces 3"]:
-        """Normals by the order of the vertices; of length one, or twice the area."""
         a, b, c = (self.vertices[self.faces[:, k]].astype(np.float64) for k in range(3))
-        normals = np.cross(b - a, c - a)
-        if not normalised:
-            return normals
-        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20))
+        return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))

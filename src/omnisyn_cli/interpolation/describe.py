@@ -12,7 +12,7 @@ import numpy as np
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_is_file, read_header
 from omnisyn_cli.io.depth_files import is_depth_header, read_depth
-from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.ffmpeg_process import run_ffmpeg
 from omnisyn_cli.io.images import read_panorama
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.io.spherical import read_spherical
@@ -130,11 +130,21 @@ def _describe_poses(path: Path, allow_outside: bool) -> dict[str, Any]:
 
 def _describe_video(path: Path) -> dict[str, Any]:
     check_is_file(path)
-    report = _ffmpeg_report(path)
+    try:
+        _, report, _ = run_ffmpeg(path, seconds=PROBE_SECONDS)
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{path}: expected ffmpeg to describe it, got no answer; encode the file anew") from error
     stream = VIDEO_STREAM.search(report)
     if stream is None:
-        words = report.strip().splitlines()[-1:] or ["nothing"]
+        words = report.removesuffix("At least one output file must be specified").splitlines()[-1:] or ["nothing"]
         raise InputError(f"{path}: expected a video, got '{words[0]}' from ffmpeg; check that the file is complete")
+    spherical = None
+    if path.suffix.lower() in BOXED_SUFFIXES:
+        metadata = read_spherical(path)
+        spherical = {
+            "version_1": metadata.has_version_1, "version_2": metadata.has_version_2, "projection": metadata.projection,
+            "stereo_mode": metadata.stereo_mode, "software": metadata.software,
+        }  # fmt: skip
     fps, duration = stream["fps"], DURATION.search(report)
     hours, minutes, seconds = map(float, duration.groups()) if duration else (0.0, 0.0, 0.0)
     return {
@@ -143,27 +153,5 @@ def _describe_video(path: Path) -> dict[str, Any]:
         "fps": float(fps.replace("k", "e3")) if fps else None,
         "duration_seconds": hours * 3600 + minutes * 60 + seconds if duration else None,
         "colour": [part.strip() for part in (stream["colour"] or "").split(",") if part.strip()],
-        "spherical": _describe_spherical(path),
+        "spherical": spherical,
     }  # fmt: skip
-
-
-def _describe_spherical(path: Path) -> dict[str, Any] | None:
-    if path.suffix.lower() not in BOXED_SUFFIXES:
-        return None
-    metadata = read_spherical(path)
-    return {
-        "version_1": metadata.has_version_1, "version_2": metadata.has_version_2, "projection": metadata.projection,
-        "stereo_mode": metadata.stereo_mode, "software": metadata.software,
-    }  # fmt: skip
-
-
-def _ffmpeg_report(path: Path) -> str:
-    """What ``ffmpeg -i`` says; only this one file is opened, whatever playlists it may hold."""
-    command = [ffmpeg_program(), "-hide_banner", "-nostdin", "-protocol_whitelist", "file", "-i"]
-    try:
-        finished = subprocess.run(  # noqa: S603 - a list, no shell; the file name is prefixed
-            [*command, f"file:{path.absolute()}"], capture_output=True, timeout=PROBE_SECONDS, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise InputError(f"{path}: expected ffmpeg to describe it, got no answer; encode the file anew") from error
-    return finished.stderr.decode("utf-8", "replace").replace("At least one output file must be specified", "")

@@ -118,11 +118,6 @@ def _panoramas_in(folder: Path) -> tuple[Path, ...]:
     return images
 
 
-def poses_beside(given: Sequence[Path]) -> bool:
-    """Whether a pose file lies where :func:`named_tour` looks for one unless it is named; a folder says so itself."""
-    return given[0].is_dir() or (given[0].parent / POSES_NAME).is_file()
-
-
 def video_ending(codec: str | None) -> str:
     """The ending of a video of a codec for :meth:`NamedTour.output`; a folder's for frames as images."""
     return CODECS[codec or "h264"].suffixes[0] if codec in (None, *CODECS) else "-frames"

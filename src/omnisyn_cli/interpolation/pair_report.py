@@ -1,6 +1,5 @@
 """A page that shows why pairs turn out as they do: matches, epipoles, depth and confidence of both panoramas."""
 
-import base64
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -16,7 +15,7 @@ from omnisyn_cli.interpolation.job import TourJob, picture_options
 from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.summary import TourSummary
-from omnisyn_cli.io.encode import jpeg_bytes
+from omnisyn_cli.io.encode import data_uri, jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.estimation import PairDiagnosis, check_poses
 from omnisyn_cli.poses.file import PoseFile, distinct_names
@@ -108,4 +107,4 @@ def _reduced(values: Float[np.ndarray, "height width"]) -> UInt8[np.ndarray, "ro
 
 
 def _jpeg(samples: UInt8[np.ndarray, "rows cols *channels"]) -> str:
-    return f"data:image/jpeg;base64,{base64.b64encode(jpeg_bytes(samples, 85)).decode('ascii')}"
+    return data_uri(jpeg_bytes(samples, 85), "jpeg")

@@ -210,7 +210,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     size = job.size or default_size(job, tour.source_sizes)
     if job.projection == "flat":
         size = PerspectiveSize(*size, DEFAULT_FOV if job.fov is None else job.fov)
-    sources = tuple(reduced_size(source, size) for source in tour.source_sizes)
+    rows = max(READING_SHARE * equivalent_rows(size), MIN_READING_ROWS)  # no detail of more is seen in the frames
+    sources = tuple((rows, 2 * rows) if source[0] > MIN_REDUCTION * rows else source for source in tour.source_sizes)
     checks.check_outputs(job, size)
     checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
@@ -238,12 +239,6 @@ def default_size(job: InterpolationJob, sources: Sequence[tuple[int, int]]) -> t
         limit = limit * 45 // 64
     rows = rows + rows % 2 if limit is None else min(rows + rows % 2, limit)
     return rows, 2 * rows
-
-
-def reduced_size(source: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
-    """Height and width at which a panorama is read for frames of a size: no detail of it is seen in them."""
-    rows = max(READING_SHARE * equivalent_rows(size), MIN_READING_ROWS)
-    return (rows, 2 * rows) if source[0] > MIN_REDUCTION * rows else source
 
 
 def plan_tour(

@@ -1,5 +1,6 @@
 """Images written to files, whole or not at all, and numbered images in a folder as a place for frames."""
 
+import base64
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,11 +15,10 @@ from omnisyn_cli.errors import EncodingError, OutputPathError, WriteError
 from omnisyn_cli.io.decode import SHOWN_ATTRIBUTE
 from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
 from omnisyn_cli.io.outputs import (
-    appears_at_once,
     check_output,
     check_staged_folder,
-    hidden_folder,
     replaced_when_complete,
+    staged_folder,
     write_errors,
 )
 
@@ -114,6 +114,11 @@ def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"], quality: in
     if not is_encoded:
         raise ValueError(f"expected an image that fits JPEG's 65535 pixels, got {samples.shape}")
     return bytes(data.tobytes())
+
+
+def data_uri(data: bytes, kind: str) -> str:
+    """A picture file of a kind (``png``, ``jpeg``) as an address that holds all of it."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def _samples_for(suffix: str, image: np.ndarray) -> np.ndarray:
@@ -244,19 +249,14 @@ def open_sequence(
     """A place for frames that appears in its folder when it is complete; former frames of it are removed then."""
     check_sequence(sequence, overwrite)
     folder = sequence.folder
-    with hidden_folder(folder) as temporary:
+    with staged_folder(folder, overwrite=overwrite) as temporary:
         writer = ImageSequenceWriter(temporary, sequence, size)
         yield writer
         if writer.frame_count == 0:
             raise EncodingError(f"{folder}: expected a frame to write, got none; check the trajectory")
         check_sequence(sequence, overwrite)  # somebody else may have made frames in the meantime
-        if appears_at_once(temporary, folder):
-            return
-        with write_errors(folder):
-            folder.mkdir(exist_ok=True)
-            for frame in sorted(temporary.iterdir()):
-                frame.replace(folder / frame.name)
-            index = writer.frame_count  # what follows without a gap is the rest of a longer sequence
-            while (stale := folder / sequence.name(index)).exists():
-                stale.unlink()
-                index += 1
+    with write_errors(folder):
+        index = writer.frame_count  # what follows without a gap is the rest of a longer sequence
+        while (stale := folder / sequence.name(index)).exists():
+            stale.unlink()
+            index += 1

@@ -154,17 +154,27 @@ def _widen(pipe: IO[bytes]) -> None:
         fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
+def run_ffmpeg(path: Path, *options: str, seconds: float | None = None) -> tuple[bytes, str, bool]:
+    """What ffmpeg writes to its standard output about a file, what it says, and whether it succeeds.
+
+    Only this one file is opened, whatever playlists it may hold. subprocess.TimeoutExpired: not done after ``seconds``.
+    """
+    command = [
+        ffmpeg_program(), "-hide_banner", "-nostdin", "-protocol_whitelist", "file", "-i", f"file:{path.absolute()}",
+    ]  # fmt: skip
+    done = subprocess.run([*command, *options], capture_output=True, check=False, timeout=seconds)  # noqa: S603 - a list
+    return done.stdout, done.stderr.decode("utf-8", "replace").strip(), done.returncode == 0
+
+
 def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     """The first ``count`` frames of a BT.709 video of ``size`` (height, width) as RGB; fewer if it is shorter."""
     scale = "scale=in_color_matrix=bt709:in_range=tv:flags=accurate_rnd+full_chroma_int"
-    command = [ffmpeg_program(), "-v", "error", "-i", f"file:{path.absolute()}", "-frames:v", str(count)]
-    done = subprocess.run(  # noqa: S603 - a list, no shell; the file name is prefixed
-        [*command, "-vf", scale, "-pix_fmt", "rgb24", "-f", "rawvideo", "-"], capture_output=True, check=False
-    )
-    if done.returncode != 0:
-        words = " | ".join(done.stderr.decode("utf-8", "replace").split("\n")[:3])
+    form = ("-vf", scale, "-pix_fmt", "rgb24", "-f", "rawvideo", "-")
+    samples, said, succeeded = run_ffmpeg(path, "-v", "error", "-frames:v", str(count), *form)
+    if not succeeded:
+        words = " | ".join(said.split("\n")[:3])
         raise EncodingError(f"{path}: expected a video that ffmpeg can read, got '{words}'; make it again")
-    yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)
+    yield from np.frombuffer(samples, np.uint8).reshape(-1, *size, 3)
 
 
 SOUND_STREAM = re.compile(r"Stream #0:\S+ Audio: (\w+)")  # what ffmpeg prints of a stream
@@ -174,17 +184,13 @@ DECODED_MICROSECONDS = re.compile(r"out_time_us=(\d+)")  # and, with ``-progress
 def read_soundtrack(path: Path, video_seconds: float) -> Soundtrack:
     """Decode the sound of a file, for a video of a length. InputError: there is none, or it cannot be decoded."""
     check_is_file(path)
-    command = [
-        ffmpeg_program(), "-hide_banner", "-nostdin", "-nostats", "-progress", "-", "-protocol_whitelist", "file",
-        "-i", f"file:{path.absolute()}", "-map", "0:a:0", "-f", "null", "-",
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
-    said = done.stderr.decode("utf-8", "replace")
+    form = ("-nostats", "-progress", "-", "-map", "0:a:0", "-f", "null", "-")
+    progress, said, succeeded = run_ffmpeg(path, *form)
     stream = SOUND_STREAM.search(said)
-    decoded = DECODED_MICROSECONDS.findall(done.stdout.decode("ascii", "replace"))
+    decoded = DECODED_MICROSECONDS.findall(progress.decode("ascii", "replace"))
     seconds = float(decoded[-1]) / 1e6 if decoded else 0.0
-    if done.returncode != 0 or stream is None or seconds <= 0.0:
-        found = said.strip().splitlines()[-1:] or ["nothing"]
+    if not succeeded or stream is None or seconds <= 0.0:
+        found = said.splitlines()[-1:] or ["nothing"]
         words = f"'{found[0]:.200}' from ffmpeg" if stream or "Input #0" not in said else "a file without sound"
         raise InputError(f"{path}: expected a file with sound for --audio, got {words}; name another")
     return Soundtrack(path, stream[1], seconds, video_seconds)
@@ -203,16 +209,14 @@ def frames_of_video(path: Path, seconds: float) -> Iterator[tuple[Path, ...]]:
     check_is_file(path)
     with scratch_folder() as folder:
         choice = f"select='isnan(prev_selected_t)+gte(t-prev_selected_t,{seconds:.6f}-0.5/30)'"
-        command = [
-            ffmpeg_program(), "-hide_banner", "-loglevel", "error", "-nostdin", "-protocol_whitelist", "file",
-            "-i", f"file:{path.absolute()}", "-map", "0:v:0", "-fps_mode", "passthrough",
+        _, said, succeeded = run_ffmpeg(
+            path, "-v", "error", "-map", "0:v:0", "-fps_mode", "passthrough",
             "-vf", f"{choice},scale=in_color_matrix=bt709:flags=bicubic+accurate_rnd+full_chroma_int,format=rgb24",
             "-compression_level", "1", str(folder / "frame%05d.png"),
-        ]  # fmt: skip
-        finished = subprocess.run(command, capture_output=True, check=False)  # noqa: S603 - a list, no shell
+        )  # fmt: skip
         frames = tuple(sorted(folder.glob("*.png")))
-        if finished.returncode != 0 or not frames:
-            lines = finished.stderr.decode("utf-8", "replace").strip().splitlines() or ["no frames"]
+        if not succeeded or not frames:
+            lines = said.splitlines() or ["no frames"]
             raise InputError(f"{path}: expected a video, got '{lines[-1]:.200}'; export it as MP4")
         if len(frames) < 2:
             raise InputError(f"{path}: expected a video of more than {seconds:g} s, got one frame; take them closer")

@@ -72,7 +72,11 @@ def _read_sphere(
     if reading.view_transform and header.is_linear:
         colour = view_transform(unit_range(colour, header.path))
     panorama = _panorama(header, colour, alpha, placement)
-    return panorama if panorama.image.shape[:2] == size else _resampled(panorama, size)
+    if panorama.image.shape[:2] == size:
+        return panorama
+    # the same sphere with square pixels, in another height and width
+    mask = None if panorama.mask is None else _resized(panorama.mask.astype(np.float32), size) > 1.0 - 1e-6
+    return Panorama(_resized(panorama.image, size), mask, None, panorama.path)
 
 
 def sphere_size(
@@ -272,12 +276,6 @@ def channel_of(header: ImageHeader, wanted: str) -> int | None:
     if wanted in header.channels:
         return header.channels.index(wanted)
     return next((index for index, name in enumerate(header.channels) if name.rpartition(".")[2] == wanted), None)
-
-
-def _resampled(panorama: Panorama, size: tuple[int, int]) -> Panorama:
-    """The same sphere with square pixels, in another height and width."""
-    mask = None if panorama.mask is None else _resized(panorama.mask.astype(np.float32), size) > 1.0 - 1e-6
-    return Panorama(_resized(panorama.image, size), mask, None, panorama.path)
 
 
 def _resized(samples: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -45,8 +45,9 @@ def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values:
             packets.append((begin, end))
     first = packets[0] if packets else (exif, exif)
     old = data[first[0] + 4 + len(XMP_HEADER) : first[1]]
-    packet = _packet(_edited(path, old, namespace, values), len(old))
-    content = XMP_HEADER + packet
+    xml = PACKET_BEGIN + _edited(path, old, namespace, values) + b"\n"
+    blanks = b" " * max(len(old) - len(xml) - len(PACKET_END), 0)  # then nothing behind the packet moves
+    content = XMP_HEADER + xml + blanks + PACKET_END
     if len(content) > MAX_SEGMENT_BYTES:
         raise ImageError(
             f"{path}: expected XMP of at most {MAX_SEGMENT_BYTES:,} bytes, got {len(content):,}; remove other tags"
@@ -114,9 +115,3 @@ def _parsed(path: Path, packet: bytes) -> Element:
     if root is None:
         raise ImageError(f"{path}: expected readable XMP, got none; remove the tags and try again")
     return root
-
-
-def _packet(xml: bytes, size: int) -> bytes:
-    """A packet, filled with blanks up to a size: then nothing behind it moves."""
-    blanks = b" " * max(size - len(PACKET_BEGIN) - len(xml) - len(PACKET_END) - 1, 0)
-    return PACKET_BEGIN + xml + b"\n" + blanks + PACKET_END

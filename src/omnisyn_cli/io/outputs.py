@@ -186,17 +186,6 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def appears_at_once(temporary: Path, folder: Path) -> bool:
-    """Give a hidden folder its final name; False where there is something of that name already."""
-    if folder.exists() or folder.is_symlink():
-        return False
-    try:
-        temporary.rename(folder)
-    except OSError:  # which the slower way reports
-        return False
-    return True
-
-
 @contextmanager
 def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """Give a hidden folder to write into; its content moves into ``folder`` at the end, and is gone after any failure.
@@ -209,8 +198,10 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """
     with hidden_folder(folder) as temporary:
         yield temporary
-        if appears_at_once(temporary, folder):
-            return
+        if not (folder.exists() or folder.is_symlink()):
+            with suppress(OSError):  # which the slower way reports
+                temporary.rename(folder)
+                return
         with write_errors(folder):
             folder.mkdir(exist_ok=True)
             files = sorted(file for file in temporary.rglob("*") if file.is_file())

@@ -216,18 +216,13 @@ class GuidedDepthNetwork(Network):
         check_multiple(first, self.config.size_multiple)
         batch = sizes(first)[0]
         features = self.encoder(torch.cat([first, second]))
-        maps = self._matching_features(features)
+        _, at4, at8, at16, _ = features
+        lateral = self.lateral4(at4) + upsample_linear(self.lateral8(at8), 2) + upsample_linear(self.lateral16(at16), 4)
+        maps = self.matched(lateral)  # at a quarter of the size, from three strides
         own = [each[:batch] for each in features]
         costs, geometry = self._costs(maps[:batch], maps[batch:], towards.flatten(1))
         volume = self.reduce(costs) + self.guide(guidance)  # (batch, width4, height / 4, width / 4)
         return self._decoded(torch.cat([volume, own[1], maps[:batch], geometry], dim=1), own)
-
-    def _matching_features(self, features: list[Tensor]) -> Float[Tensor, "batch features rows cols"]:
-        """At a quarter of the size, from three strides."""
-        _, at4, at8, at16, _ = features
-        x = self.lateral4(at4) + upsample_linear(self.lateral8(at8), 2) + upsample_linear(self.lateral16(at16), 4)
-        maps: Tensor = self.matched(x)
-        return maps
 
     def _costs(
         self, first: Float[Tensor, "batch features rows cols"], second: Float[Tensor, "batch features rows cols"],

@@ -9,7 +9,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation
 from omnisyn_cli.poses.estimation import PictureOptions, PoseGraph, check_images, solve_pose_graph, usable_pictures
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, add_entries
-from omnisyn_cli.poses.registration.scan import likeness, scan_panorama
+from omnisyn_cli.poses.registration.scan import scan_panorama
 from omnisyn_cli.poses.tour import links_between
 
 NEAR_PANORAMAS = 5  # with poses that a new one is matched with: those that share most features
@@ -24,10 +24,8 @@ def add_to_file(
 
     They are matched with those that look most like them, and these with each other. Where a new one is follows from
     those that match it, turned, scaled and moved to the poses that these have. Masks of the options are those of all,
-    the new ones last. What there is to say comes back.
-
-    Raises InputError: unusable images, or one named twice; PoseError: a new one has a pose, lies elsewhere than the
-    pose file, or does not match two panoramas at different places.
+    the new ones last. Notes come back. InputError: unusable images, or one named twice; PoseError: a new one has a
+    pose, lies in another folder, or does not match two panoramas at different places.
     """
     every = [*images, *new]
     check_images(every, may_repeat=False)
@@ -37,7 +35,7 @@ def add_to_file(
     scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(every, options, masks)]
     count, near = len(images), set[int]()
     for scan in scans[count:]:
-        alike = np.array([likeness(each, scan) for each in scans[:count]])
+        alike = np.array([each.likeness(scan) for each in scans[:count]])
         near.update(np.argsort(-alike, kind="stable")[:NEAR_PANORAMAS].tolist())
     chosen = [*sorted(near), *range(count, len(every))]
     some = [every[k] for k in chosen], [scans[k] for k in chosen]

@@ -26,23 +26,16 @@ from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
-from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points
+from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points, spread_above
 from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
-from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import relative_pose
-from omnisyn_cli.poses.registration.pose_graph import Edge
-from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
-from omnisyn_cli.poses.registration.scan import (
-    Scan,
-    find_vertical,
-    forget_tables,
-    likeness,
-    register_pair,
-    scan_panorama,
-)
+from omnisyn_cli.poses.registration.pose_graph import Edge, Given
+from omnisyn_cli.poses.registration.robust import Estimate, support_mask
+from omnisyn_cli.poses.registration.scan import Scan, find_vertical, forget_tables, register_pair, scan_panorama
 from omnisyn_cli.poses.same_place import without_repeats
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
@@ -140,8 +133,7 @@ def check_poses(
 ) -> Iterator[PairDiagnosis]:
     """Judge the poses of all neighbours, one after the other.
 
-    Raises InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used;
-    PoseError: no entry for one, or two of one name.
+    InputError: fewer than two panoramas, another number of masks, an unusable file; PoseError: not one entry each.
     """
     check_images(images)
     check_names_tell_apart(images, pose_file)
@@ -149,21 +141,20 @@ def check_poses(
     options = options or PictureOptions()
     pictures = usable_pictures(images, options, [entry.mask for entry in entries])
     views = (
-        (View(resize_area(picture, FLOOR_SIZE), entry.pose, usable), find_features(picture, usable, options.threads))
-        for entry, (picture, usable) in zip(entries, pictures, strict=True)
+        (View(resize_area(image, FLOOR_SIZE), own.pose, usable), find_features(grey_of(image), usable, options.threads))
+        for own, (image, usable) in zip(entries, pictures, strict=True)
     )
     for (first, second), ((a, seen_by_a), (b, seen_by_b)) in zip(pairwise(images), pairwise(views), strict=True):
         matches = match_features(seen_by_a, seen_by_b)
-        fits = support_mask(relative_pose(a.pose, b.pose), matches, inlier_threshold(matches))
+        fits = support_mask(relative_pose(a.pose, b.pose), matches)
         yield PairDiagnosis(first, second, diagnose(a.pose, b.pose, matches), matches, fits, (a, b))
 
 
 def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOptions | None = None) -> FoundPoses:
     """Correct rotation and direction of every panorama but the first where that makes the pictures fit better.
 
-    Distances between neighbours stay. A pair is left as it is where too few matches agree, where nothing is gained, and
-    where its poses contradict the pictures, which is a mistake to be found and not an inaccuracy. Later panoramas move
-    along with the earlier ones. InputError, PoseError: as :func:`check_poses`; also for a panorama that is named twice.
+    Distances between neighbours stay, and later panoramas move along. A pair stays where too few matches agree, nothing
+    is gained, or poses contradict the pictures (a mistake to be found). Errors: as :func:`check_poses`, and one twice.
     """
     check_images(images, may_repeat=False)
     entries, notes, changed = dict(pose_file.panoramas), [], 0
@@ -187,16 +178,13 @@ def estimate_poses(
 ) -> FoundPoses:  # fmt: skip
     """Find the poses of panoramas in the pictures.
 
-    The world is levelled by the vertical edges in them. The first panorama that is placed stands at the origin and
-    looks towards −z. Images are in walking order; with ``finds_order`` that is looked for as well, a short way along
-    pairs that match. With ``must_place_all`` panoramas that do not fit the others are refused, else left out and named.
+    Vertical edges level the world. The first panorama that is placed stands at the origin and looks towards −z. Images
+    are in walking order; with ``finds_order`` that is looked for as well, a short way along pairs that match. With
+    ``must_place_all`` panoramas that do not fit the others are refused, else left out and named.
 
-    Baselines are metres between neighbours: their mean, which is :data:`DEFAULT_BASELINE` without any, or one for each
-    pair. Ratios that are not given are those that points tell which several pairs share. ``camera_height``, metres
-    above the floor, stands in for baselines.
-
-    Raises InputError: fewer than two, one named twice, unusable images, or another number of baselines or masks;
-    PoseError: too few matches, or no floor to measure the height from.
+    Baselines are metres between neighbours: their mean (:data:`DEFAULT_BASELINE` without any), or one for each pair.
+    Points that several pairs share tell other ratios. ``camera_height``, metres above the floor, stands in for
+    baselines. InputError: as there, or another number of baselines; PoseError: too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
@@ -234,9 +222,8 @@ def estimate_poses(
 
 
 def solve_pose_graph(
-    images: Sequence[Path], scans: Sequence[Scan], given: Mapping[tuple[int, int], float],
-    *, must_place_all: bool, is_ordered: bool,
-) -> PoseGraph:  # fmt: skip
+    images: Sequence[Path], scans: Sequence[Scan], given: Given, *, must_place_all: bool, is_ordered: bool
+) -> PoseGraph:
     """Rotations averaged over all pairs, positions from directions and lengths, then both adjusted to the matches."""
     matched, unused = _matched_edges(scans, is_ordered=is_ordered)
     rotations = pose_graph.average_rotations(matched, pose_graph.placed_panoramas(matched, len(images)))
@@ -262,7 +249,7 @@ def solve_pose_graph(
 def _matched_edges(scans: Sequence[Scan], *, is_ordered: bool) -> tuple[list[Edge], Unused]:
     """Pairs whose relative pose is found, and why it is not found of others that were tried."""
     count, unused = len(scans), Unused()
-    alike = {pair: likeness(*(scans[k] for k in pair)) for pair in combinations(range(count), 2)}
+    alike = {pair: scans[pair[0]].likeness(scans[pair[1]]) for pair in combinations(range(count), 2)}
     ranked = sorted(alike, key=lambda pair: (-alike[pair], pair))
     wanted = {pair for k in range(count) for pair in [p for p in ranked if k in p][:LIKE_PANORAMAS]}
     edges: list[Edge] = []
@@ -358,7 +345,7 @@ def _scale(
 def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]) -> tuple[float, float, str]:
     """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it.
 
-    Furniture may be all that a few pairs see, so matched points have to agree with them. Pairs on stairs do not count.
+    Pairs may see furniture only: matched points have to agree, many closely, or some and none below. No stairs.
     """
     steps = [world[edge.second].position - world[edge.first].position for edge in edges]
     chosen = [edge for edge, step in zip(edges, steps, strict=True) if abs(step[1]) < MAX_CLIMB * np.hypot(*step[::2])]
@@ -368,8 +355,11 @@ def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequ
         height = float(np.quantile(heights, FLOOR_QUANTILE))
         spread = float(np.median(np.abs(np.array(heights) - height))) / height
         return height, spread, f"{len(heights)} of {len(edges)} pairs see"
-    points = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
-    level = level_of_points(np.concatenate([np.zeros(0), *points]))
+    above = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
+    points = np.concatenate([np.zeros(0), *above])
+    level = level_of_points(points)
+    if level is None and heights and (off := spread_above(min(heights), points)) is not None:
+        level = min(heights), off
     if level is None or any(abs(height / level[0] - 1.0) > MAX_LEVEL_ERROR for height in heights):
         found = "none" if chosen else "cameras at different heights (stairs?)"
         found = "planes that matched points do not confirm (furniture?)" if heights else found

@@ -81,8 +81,7 @@ class PoseFile:
     def name_of(self, image_path: Path | str) -> str:
         """What the file calls an image: its file name, or its path from some folder on, the longest that there is.
 
-        Letters with accents are the same in one character or in two, as file systems differ in that (NFC, NFD).
-        PoseError: no entry for it.
+        Accents are the same in one character or in two, as file systems differ in that (NFC, NFD). PoseError: no entry.
         """
         wanted = _same_letters(Path(image_path).absolute())
         parts = {known: _same_letters(Path(known)) for known in self.panoramas}
@@ -145,11 +144,9 @@ def notes_of_place(images: Iterable[Path], poses: Path) -> tuple[str, ...]:
 def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     """Read and check a pose file.
 
-    Geographic entries become metres east, up and −north of the first one, which is the origin. Neither images nor
-    depth and mask files are looked for.
-
-    With ``allow_outside`` depth and masks, or what they are links to, may lie outside of the file's folder.
-    PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
+    Geographic entries become metres east, up and −north of the first one, which is the origin. No other file is looked
+    for; with ``allow_outside`` depth and masks, or what they are links to, may lie outside of its folder. PoseError:
+    missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
     return _pose_file(source, read_json(source, "a pose file", MAX_FILE_BYTES), allow_outside)

@@ -37,6 +37,7 @@ MIN_LEVEL_POINTS = 25  # Matched points that have to lie at the level of a floor
 # Relative spread of such points, and share of points below, up to which the level is a floor and no table. What lies
 # farther below than this factor is a reflection.
 MAX_LEVEL_SPREAD, MAX_SHARE_BELOW, REFLECTION_RATIO = 0.025, 0.1, 2.5
+MIN_POINTS_AT_PLANE = 4  # Near a plane below which there is none, to take it for the floor
 # Of heights that belong to one floor: two steps of a sweep. Hand-held cameras differ by some centimetres.
 SAME_FLOOR_RATIO = 1.13
 
@@ -85,10 +86,7 @@ class LevelSweep:
 
 
 def floor_heights(pairs: Sequence[tuple[View, View]]) -> list[float]:
-    """How high the cameras of each pair that sees the floor stand above it, in the unit of the positions.
-
-    The y axis of the world is up, and all cameras are about equally high.
-    """
+    """Height above the floor of each pair that sees it, in the unit of positions; y is up, cameras are equally high."""
     sweeps = [LevelSweep.of(*pair) for pair in pairs if not at_same_position(*(view.pose for view in pair))]
     if not sweeps:
         return []
@@ -123,6 +121,14 @@ def level_of_points(heights: Float[np.ndarray, " points"]) -> tuple[float, float
     spread, off = float(np.median(np.abs(there - floor))), logs - floor
     is_below = (off > math.log(SAME_FLOOR_RATIO)) & (off < math.log(REFLECTION_RATIO))
     return (math.exp(floor), spread) if spread < MAX_LEVEL_SPREAD and is_below.mean() < MAX_SHARE_BELOW else None
+
+
+def spread_above(floor: float, heights: Float[np.ndarray, " points"]) -> float | None:
+    """By how much the points near a plane differ from it, relative; None if they are few, or one lies below it."""
+    near = heights[(heights > floor / FLANK_RATIO) & (heights < floor * REFLECTION_RATIO)]
+    if len(near) < MIN_POINTS_AT_PLANE or near.max() > floor * SAME_FLOOR_RATIO:
+        return None
+    return float(np.median(np.abs(near / floor - 1.0)))
 
 
 def height_in_depth(poses: tuple[Pose, Pose], depths: tuple[DepthEstimate, DepthEstimate]) -> float | None:

@@ -10,11 +10,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import UP, pixel_directions
-from omnisyn_cli.poses.registration.features import grey_of
+from omnisyn_cli.poses.registration.features import Picture, Usable, grey_of
 from omnisyn_cli.poses.registration.scan import SMALL_SIZE, Lines, Vertical, find_lines, find_vertical
 
 # Axes of the camera near which the vertical is looked for: its own, to the right and ahead.
@@ -52,16 +51,12 @@ class Gravity:
         return math.acos(max(-1.0, min(1.0, float(self.vertical.up @ UP))))
 
 
-def gravity_of_picture(
-    image: Float[np.ndarray, "height width 3"], usable: Bool[np.ndarray, "height width"] | None = None
-) -> Gravity:
-    """:func:`gravity_of` of a panorama, RGB in [0, 1]."""
+def gravity_of_picture(image: Picture, usable: Usable = None) -> Gravity:
+    """:func:`gravity_of` of a panorama."""
     return gravity_of(resize_area(image, SMALL_SIZE), find_lines(grey_of(image), usable), usable)
 
 
-def gravity_of(
-    small: Float[np.ndarray, "rows cols 3"], lines: Lines, usable: Bool[np.ndarray, "height width"] | None = None
-) -> Gravity:
+def gravity_of(small: Picture, lines: Lines, usable: Usable = None) -> Gravity:
     """How the camera of a small picture with these lines was held: upright unless there is evidence against it."""
     found = [find_vertical(lines, axis) for axis in AXES]
     verticals = [replace(each, is_certain=each.is_certain and each.std <= MAX_STD) for each in found]

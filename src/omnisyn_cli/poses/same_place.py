@@ -10,7 +10,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import rotation_angle
 from omnisyn_cli.poses.registration.features import MAX_FEATURES, match_features
-from omnisyn_cli.poses.registration.robust import best_rotation, inlier_threshold, rotation_residual
+from omnisyn_cli.poses.registration.robust import best_rotation, rotation_residual
 from omnisyn_cli.poses.registration.scan import LIKENESS_FEATURES, Scan
 
 # Matches of the strongest features, and the share of them without parallax, from which on all features are compared:
@@ -27,23 +27,19 @@ def without_repeats(images: Sequence[Path], scans: Sequence[Scan]) -> tuple[list
     """
     places = group_by_place(scans)
     if len(places) == 1:
-        return _turned(images, scans)
+        turns = [rotation_between(scans[0], scan) for scan in scans]
+        if not any(turn is not None and float(rotation_angle(turn)) > MIN_TURN for turn in turns):
+            raise PoseError(
+                f"{', '.join(map(str, images))}: expected pictures from two places, got one place (copies, or an "
+                "exposure bracket); add one from another place, or mask what moves with the camera (--nadir)"
+            )
+        return list(images), list(scans), []
     notes = [
         f"{' and '.join(images[k].name for k in place)} were taken from one place; only {images[place[0]].name} is used"
         for place in places
         if len(place) > 1
     ]
     return [images[place[0]] for place in places], [scans[place[0]] for place in places], notes
-
-
-def _turned(images: Sequence[Path], scans: Sequence[Scan]) -> tuple[list[Path], list[Scan], list[str]]:
-    turns = [rotation_between(scans[0], scan) for scan in scans]
-    if not any(turn is not None and float(rotation_angle(turn)) > MIN_TURN for turn in turns):
-        raise PoseError(
-            f"{', '.join(map(str, images))}: expected pictures from two places, got one place (copies, or an exposure "
-            "bracket); add one from another place, or mask what moves with the camera (--nadir)"
-        )
-    return list(images), list(scans), []
 
 
 def group_by_place(scans: Sequence[Scan]) -> list[list[int]]:
@@ -63,7 +59,7 @@ def rotation_between(first: Scan, second: Scan) -> Float[np.ndarray, "3 3"] | No
         matches = match_features(*(scan.features.strongest(count) for scan in (first, second)))
         if len(matches) < MIN_MATCHES:
             return None
-        rotation = best_rotation(matches, scale := inlier_threshold(matches))
-        if np.mean(rotation_residual(rotation, matches) < scale) < least:
+        rotation = best_rotation(matches)
+        if np.mean(rotation_residual(rotation, matches) < matches.tolerance) < least:
             return None
     return rotation

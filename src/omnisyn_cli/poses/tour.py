@@ -1,7 +1,4 @@
-"""A tour: panoramas that link to each other, with names, hotspots, a start view and a floor plan.
-
-:mod:`omnisyn_cli.poses.tour_file` reads what a user writes of it. Links that nobody wrote follow from the positions.
-"""
+"""A tour: linked panoramas with names, hotspots, a start view and a floor plan; :mod:`.tour_file` reads its file."""
 
 import heapq
 import math
@@ -156,10 +153,8 @@ def links_between(
     """Links that follow from positions: the relative neighbourhood graph.
 
     Two panoramas are linked unless a third one is nearer to both than they are to each other. So corridors become
-    chains and crossings stay crossings. The graph holds the shortest tree that connects all. Where it is known which
-    pairs ``matched``, others do not see each other and count as infinitely far.
-
-    Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
+    chains and crossings stay crossings; all stay connected. Where it is known which pairs ``matched``, others count as
+    infinitely far. Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
     """
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     if matched is not None:

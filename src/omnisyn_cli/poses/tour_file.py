@@ -103,10 +103,9 @@ def read_tour(
     """The tour through panoramas that have an entry in the pose file; ``path`` is ``tour.json``, if there is one.
 
     Links are those of ``tour.json``, else of the pose file, else they follow from the positions; with ``is_chain`` they
-    lead from every image to the next one instead. Links to panoramas that are not among the images are left out. The
-    file's own title replaces ``title``. With ``allow_outside`` its pictures may lie outside of its folder.
-
-    Raises PoseError: no JSON, an unknown key, name or panorama, a link to itself, a picture that is missing.
+    lead from every image to the next one. Others than the images are left out. The file's own title replaces ``title``.
+    PoseError: no JSON, an unknown key, name or panorama, a link to itself, a picture that is missing or, without
+    ``allow_outside``, outside.
     """
     document = _TourDocument(version=1) if path is None else validated(
         path, _TourDocument, read_json(path, "a tour file", MAX_FILE_BYTES), allow_outside=allow_outside
@@ -135,7 +134,6 @@ class _Source:
             raise PoseError(f"{path}: expected at most {MAX_HOTSPOTS:,} hotspots, got {count:,}; remove some")
 
     def panorama(self, name: str, image: Path) -> TourPanorama:
-        """One panorama with what is said of it."""
         posed, entry = self._poses.panoramas[name], self._entries.get(name, _PanoramaEntry())
         title, caption = (
             own if own is not None else given
@@ -182,7 +180,6 @@ class _Source:
         return StartView(name, yaw, math.radians(entry.pitch), fov)
 
     def plan(self) -> FloorPlan | None:
-        """The floor plan, or None."""
         entry = self._document.plan
         if entry is None:
             return None

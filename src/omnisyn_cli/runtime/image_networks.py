@@ -1,7 +1,4 @@
-"""Networks in ONNX Runtime that map images to images, at any size that they can halve often enough.
-
-All raise InputError for a session of another kind, and for a model that answers something else.
-"""
+"""Networks in ONNX Runtime that map images to images. InputError: a session of another kind, or another answer."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -11,9 +8,10 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.session import run_depth_network, run_network
+from omnisyn_cli.runtime.session import DepthAnswer, run_depth_network, run_network
 
 SIZE_MULTIPLE = 32  # the completion network halves its input five times: heights and widths are multiples of this
+Channels = Float32[np.ndarray, "channels height width"]
 FUSION_CHANNELS = {"shares": 4, "colour": 3}  # of the answers of networks that fuse, by the name of their output
 
 
@@ -26,9 +24,7 @@ class CompletionSession:
             raise InputError(f"expected a completion model with the input 'planes', got inputs {names}; name another")
         self._session = session
 
-    def __call__(
-        self, channels: Float32[np.ndarray, "channels height width"]
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+    def __call__(self, channels: Channels) -> DepthAnswer:
         """Inverse depth × baseline, and the probability that it is within 10 %."""
         padded, (height, width) = _padded(channels), channels.shape[1:]
         inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
@@ -56,20 +52,11 @@ class GuidedDepthSession:
             )
         return session, np.zeros(shapes["guidance"], np.float32)
 
-    def __call__(
-        self,
-        first: Float32[np.ndarray, "3 height width"],
-        second: Float32[np.ndarray, "3 height width"],
-        towards: Float[np.ndarray, " 3"],
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+    def __call__(self, first: Channels, second: Channels, towards: Float[np.ndarray, " 3"]) -> DepthAnswer:
         """Inverse depth in the unit of ``towards``, and the probability that depth is within 10 %."""
         session, no_guidance = self._session_and_guidance
-        inputs = {
-            "first": first[None],
-            "second": second[None],
-            "towards": towards.astype(np.float32).reshape(1, 3, 1, 1),
-            "guidance": no_guidance,
-        }
+        way = towards.astype(np.float32).reshape(1, 3, 1, 1)
+        inputs = {"first": first[None], "second": second[None], "towards": way, "guidance": no_guidance}
         return run_depth_network(session, inputs, first.shape[1:])
 
 
@@ -89,15 +76,13 @@ class FusionSession:
             )
         self._session, self._out_channels = session, FUSION_CHANNELS[output]
 
-    def __call__(
-        self, channels: Float32[np.ndarray, "channels height width"]
-    ) -> Float32[np.ndarray, "out_channels height width"]:
+    def __call__(self, channels: Channels) -> Float32[np.ndarray, "out_channels height width"]:
         """The answer for channels of a frame."""
         shape = (1, self._out_channels, *channels.shape[1:])
         return np.asarray(run_network(self._session, {"planes": channels[None]}, (shape,))[0][0])
 
 
-def _padded(channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "channels rows columns"]:
+def _padded(channels: Channels) -> Float32[np.ndarray, "channels rows columns"]:
     """Of a size that networks can halve, carried on over the seam and beyond the poles."""
     height, width = channels.shape[1:]
     below, beyond = -height % SIZE_MULTIPLE, -width % SIZE_MULTIPLE

@@ -1,8 +1,4 @@
-"""The trained models that come with the program or that users added: manifests, and files checked before their use.
-
-``models/manifest.toml`` has the version and for each model a table ``[[models]]`` with the keys of
-:class:`ModelEntry`.
-"""
+"""The trained models that come with the program or that users added: manifests, and files checked before their use."""
 
 import hashlib
 import json
@@ -24,7 +20,7 @@ ADDED_ROLE = "depth-prior"  # of models that users added: networks for `--depth-
 
 @dataclass(frozen=True)
 class ModelEntry:
-    """One model of a manifest."""
+    """One model of a manifest, which has the version and these keys in a table ``[[models]]`` for each."""
 
     name: str  # what `--model` takes
     role: str  # depth, fusion, …
@@ -56,10 +52,7 @@ def added_models_folder() -> Path:
 
 
 def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
-    """The models of a folder by name; none where there is no manifest.
-
-    Raises InputError: the manifest is malformed or of another version.
-    """
+    """The models of a folder by name; none without a manifest. InputError: it is malformed or of another version."""
     path = (folder or models_folder()) / MANIFEST
     if not path.is_file():
         return {}

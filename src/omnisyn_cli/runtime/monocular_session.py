@@ -67,8 +67,7 @@ class NetworkCost(NamedTuple):
 class MonocularSession:
     """One picture in, numbers of depth out; a :class:`omnisyn_cli.stereo.monocular_answer.PictureNetwork`.
 
-    InputError: the network takes something else than one picture, it takes any size and ``kind`` does not say which, or
-    its weights lie in another file than ``path``.
+    InputError: it takes no single picture, or any size and ``kind`` says none, or its weights lie in another file.
     """
 
     def __init__(self, session: Any, path: Path, kind: NetworkKind) -> None:
@@ -102,10 +101,7 @@ class MonocularSession:
     def __call__(
         self, picture: Float32[np.ndarray, "3 height width"]
     ) -> tuple[Float32[np.ndarray, "rows cols"], tuple[str, ...], bool]:
-        """Its numbers, the readings that they may have, and whether they are distances along rays.
-
-        InputError: it answers no map that is as wide to high as the picture, or one that says nothing.
-        """
+        """Its numbers, their possible readings, if along rays. InputError: no map of its shape, or a flat one."""
         file = self.answer_file(picture)
         answer = _kept(file)
         if answer is None:

@@ -11,6 +11,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.models import find_model
 
 DEVICES = ("auto", "cpu", "cuda")  # where users can ask for networks to run
+DepthAnswer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
 MAX_COMPLAINT_CHARS = 300  # characters of what ONNX Runtime says that are passed on
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}  # ONNX Runtime's names of them
 
@@ -18,9 +19,8 @@ PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}  # 
 def open_session(path: Path, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
     """A session of the ONNX file at ``path``, with at most so many processor threads for one operation; None = all.
 
-    The device ``auto`` takes CUDA if this ONNX Runtime has it. A session keeps memory for the next run; one of a
-    network that seldom runs may give it back, and is a little slower.
-    Raises InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
+    ``auto`` takes CUDA if this ONNX Runtime has it. A session that gives its memory back after a run is a little
+    slower. InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
     """
     import onnxruntime
 
@@ -41,20 +41,12 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
 
 
 def open_model(name: str, *, device: str = "auto", threads: int | None = None, keeps_memory: bool = True) -> Any:
-    """A session of a model of the manifest, by its name, or of an ONNX file; see :func:`open_session`.
-
-    Raises InputError: it cannot be found, or see there.
-    """
+    """:func:`open_session` of a model of the manifest, by its name, or of an ONNX file; InputError: also not found."""
     return open_session(find_model(name), device=device, threads=threads, keeps_memory=keeps_memory)
 
 
-def run_depth_network(
-    session: Any, inputs: Mapping[str, np.ndarray], size: tuple[int, int]
-) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
-    """Inverse depth × baseline, finite and >= 0, and confidence in [0, 1], both of ``size`` (height, width).
-
-    Raises InputError: the model does not take these inputs, or answers something else.
-    """
+def run_depth_network(session: Any, inputs: Mapping[str, np.ndarray], size: tuple[int, int]) -> DepthAnswer:
+    """Inverse depth × baseline, finite and >= 0, and confidence in [0, 1]; InputError: as :func:`run_network`."""
     inverse_depth, confidence = (answer[0, 0] for answer in run_network(session, inputs, [(1, 1, *size)] * 2))
     if not (inverse_depth >= 0).all():
         raise InputError("expected a model whose inverse depths are not negative, got others; name another (--model)")
@@ -64,10 +56,7 @@ def run_depth_network(
 def run_network(
     session: Any, inputs: Mapping[str, np.ndarray], shapes: Sequence[tuple[int, ...]] | None = None
 ) -> list[Float32[np.ndarray, "..."]]:
-    """All outputs of a model, finite, and of these shapes in their order; None for any.
-
-    Raises InputError: the model does not take these inputs, or answers something else.
-    """
+    """All outputs, finite and of these shapes (None: any). InputError: it refuses the inputs, or answers otherwise."""
     try:
         answers = session.run(None, dict(inputs))
     except Exception as error:

@@ -6,7 +6,7 @@ so far that they are the same numbers on every machine.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,10 +152,10 @@ class SuiteScene:
         return f"{self.kind}-{self.seed}-{self.baseline:g}m"
 
 
-def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = SUITE_SEEDS) -> Iterator[SuiteScene]:
+def suite_scenes() -> Iterator[SuiteScene]:
     """All walks, those of a scene from the shortest on."""
-    for kind in kinds:
-        for seed in seeds:
+    for kind in STANDARD_KINDS:
+        for seed in SUITE_SEEDS:
             longest = longest_path({"street": street, "room": room}[kind](seed), seed)
             for baseline in BASELINES:
                 yield SuiteScene(kind, seed, baseline, tuple(_evenly_spaced(longest, baseline)))

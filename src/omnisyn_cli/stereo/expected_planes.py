@@ -4,12 +4,14 @@ A sweep finds a plane if enough windows match on it, wherever it is. Far apart, 
 that. The network says where planes are to within some 10 %, and so near a plane a linear fit finds the rest.
 """
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.stereo.depth_prior import DepthPrior
 from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
-from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, are_near, find_planes
 from omnisyn_cli.stereo.plane_sweep import Directions, fit_plane
 from omnisyn_cli.stereo.rectify import RectifiedPair
 
@@ -39,10 +41,13 @@ def expected_planes(
     points = _points(small.grid, small.priors[0]), _points(small.reversed().grid, small.priors[1])
     expected = find_planes(points, pair.grid.up, max_planes=MAX_PLANES, min_support=MIN_SUPPORT)
     fitted = [fit_plane(directions, normal) for normal in expected]
-    planes = [after if _is_near(before, after) else before for before, after in zip(expected, fitted, strict=True)]
-    floors = [normal for normal in swept if _is_level(normal, pair.grid.up)]
-    kept = [plane for plane in planes if not any(_is_near(floor, plane, MAX_FLOOR_DISTANCE_FACTOR) for floor in floors)]
-    return np.reshape(kept, (-1, 3))
+    planes = [
+        after if are_near(before, after, MIN_PARALLEL_COSINE, MAX_DISTANCE_FACTOR) else before
+        for before, after in zip(expected, fitted, strict=True)
+    ]
+    floors = [plane for plane in swept if abs(plane @ pair.grid.up) > MIN_PARALLEL_COSINE * np.linalg.norm(plane)]
+    near_floor = partial(are_near, min_cosine=MIN_PARALLEL_COSINE, distance_factor=MAX_FLOOR_DISTANCE_FACTOR)
+    return np.reshape([plane for plane in planes if not any(near_floor(floor, plane) for floor in floors)], (-1, 3))
 
 
 def _points(grid: EpipolarGrid, prior: DepthPrior) -> PlanePoints:
@@ -52,14 +57,3 @@ def _points(grid: EpipolarGrid, prior: DepthPrior) -> PlanePoints:
     found = inverse_depth[row, col]
     solid_angle = np.sin(grid.polar_angle[row, 0])
     return PlanePoints(grid.directions[row, col], found, RELATIVE_TOLERANCE * found, solid_angle, row, col)
-
-
-def _is_level(normal: np.ndarray, up: np.ndarray) -> bool:
-    return bool(abs(normal @ up) > MIN_PARALLEL_COSINE * np.linalg.norm(normal))
-
-
-def _is_near(normal: np.ndarray, other: np.ndarray, distance_factor: float = MAX_DISTANCE_FACTOR) -> bool:
-    """Whether two planes are nearly parallel, and neither is farther by the factor than the other one."""
-    lengths = np.linalg.norm(normal), np.linalg.norm(other)
-    is_parallel = other @ normal > MIN_PARALLEL_COSINE * lengths[0] * lengths[1]
-    return bool(is_parallel and max(lengths) < distance_factor * min(lengths))

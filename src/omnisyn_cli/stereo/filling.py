@@ -45,16 +45,11 @@ def fill_with_planes(
     inverse_depth: Float[np.ndarray, "height width"], weight: Float[np.ndarray, "height width"],
     guide: Float[np.ndarray, "height width 3"], usable: Bool[np.ndarray, "height width"] | None = None,
 ) -> Float[np.ndarray, "height width"]:  # fmt: skip
-    """The map with every pixel of weight below 1 filled in; pixels of weight 1 stay as they are.
+    """The map (any unit, finite, >= 0) with every pixel of ``weight`` below 1 filled in; the others stay as they are.
 
-    Args:
-        inverse_depth: any unit, finite, >= 0.
-        weight: in [0, 1]; between 0 and 1 a value is a hint: it counts, but gives way.
-        guide: RGB whose edges stop the filling.
-        usable: False where the guide means nothing, so that its edges do not count; by default True everywhere.
-
-    Returns:
-        Values between the least and the greatest with weight 1. Without any such pixel above 0: zeros.
+    A value of a weight between 0 and 1 is a hint: it counts, but gives way. Filling stops at edges of the RGB ``guide``
+    where it is ``usable``, by default everywhere. Results lie between the least and the greatest value of weight 1.
+    Without any such pixel above 0 they are zeros.
     """
     valid = weight >= 1.0
     if not inverse_depth[valid].any():  # nothing is known, or all of it is infinitely far

@@ -37,12 +37,9 @@ def remove_speckles(
     logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + SAME_SURFACE_TOLERANCE)
     steps = logarithm * float(SPECKLE_LEVELS_PER_STEP) + float(SPECKLE_LEVEL_OF_ONE)
     levels = np.where(valid, np.clip(steps, 0, SPECKLE_MAX_LEVEL), SPECKLE_INVALID_LEVEL).astype(np.int16)
-
-    def without_speckles(padded: np.ndarray) -> np.ndarray:
-        kept = cv2.filterSpeckles(padded, SPECKLE_INVALID_LEVEL, MIN_ISLAND_PIXELS, SPECKLE_LEVELS_PER_STEP)[0]
-        return np.asarray(kept)
-
-    kept = filter_across_seam(without_speckles, levels, min(SPECKLE_SEAM_COLUMNS, levels.shape[1]))
+    limits = (SPECKLE_INVALID_LEVEL, MIN_ISLAND_PIXELS, SPECKLE_LEVELS_PER_STEP)
+    seam = min(SPECKLE_SEAM_COLUMNS, levels.shape[1])
+    kept = filter_across_seam(lambda padded: np.asarray(cv2.filterSpeckles(padded, *limits)[0]), levels, seam)
     return np.asarray(valid & (kept != SPECKLE_INVALID_LEVEL))
 
 

@@ -77,6 +77,15 @@ class PlaneEquations(NamedTuple):
         return np.asarray(np.where(self.is_second, distance_share, 1.0) * self.tolerance)
 
 
+def are_near(
+    normal: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"], min_cosine: float, distance_factor: float = np.inf
+) -> bool:
+    """Whether two planes are nearly parallel, and neither is farther by the factor than the other one."""
+    lengths = np.linalg.norm(normal), np.linalg.norm(other)
+    is_parallel = normal @ other > min_cosine * lengths[0] * lengths[1]
+    return bool(is_parallel and max(lengths) < distance_factor * min(lengths))
+
+
 def planes_from_second(normals: Float[np.ndarray, "planes 3"]) -> Float[np.ndarray, "planes 3"]:
     """Planes as the second camera sees them, in the frame of the reversed pair.
 

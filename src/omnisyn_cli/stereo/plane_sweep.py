@@ -29,6 +29,7 @@ from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.plane_fitting import (
     PlaneEquations,
     PlanePoints,
+    are_near,
     find_planes,
     fit_to_inliers,
     planes_from_second,
@@ -189,8 +190,8 @@ def sweep_planes(
     fitted = [fit_plane(directions, normal) for normal in found]
     planes: list[np.ndarray] = []
     for before, after in zip(found, fitted, strict=True):
-        is_same = _is_nearly_parallel(before, after) and np.linalg.norm(after) < 1.0 / NEAREST_PLANE_BASELINES
-        if is_same and not any(_is_on_flank(after, plane) for plane in planes):
+        is_same = are_near(before, after, MIN_SLOPE_COSINE) and np.linalg.norm(after) < 1.0 / NEAREST_PLANE_BASELINES
+        if is_same and not any(are_near(after, plane, MIN_SLOPE_COSINE, FLANK_DISTANCE_FACTOR) for plane in planes):
             planes.append(after)
     return np.array(planes).reshape(-1, 3)
 
@@ -217,16 +218,6 @@ def _at_equal_exposure(pair: RectifiedPair) -> RectifiedPair:
     if abs(math.log(float(gain.mean()))) < math.log(MIN_EXPOSURE_GAIN):
         return pair
     return replace(pair, second=np.minimum(pair.second * gain, 1.0).astype(np.float32))
-
-
-def _is_nearly_parallel(normal: np.ndarray, other: np.ndarray) -> bool:
-    return bool(normal @ other > MIN_SLOPE_COSINE * np.linalg.norm(normal) * np.linalg.norm(other))
-
-
-def _is_on_flank(normal: np.ndarray, plane: np.ndarray) -> bool:
-    """Whether fitting has moved a plane to where another one would not have let it be found."""
-    distances = np.linalg.norm(normal), np.linalg.norm(plane)
-    return _is_nearly_parallel(normal, plane) and bool(max(distances) < FLANK_DISTANCE_FACTOR * min(distances))
 
 
 @dataclass(frozen=True)
@@ -332,7 +323,7 @@ def _greedy_planes(directions: Directions, axes: np.ndarray) -> list[np.ndarray]
             for half in halves:
                 half.remove(which, explained, weight[explained])
             weight[explained] = 0.0
-    has_floor = any(_is_nearly_parallel(-axes[0], normal) for normal in found)
+    has_floor = any(are_near(-axes[0], normal, MIN_SLOPE_COSINE) for normal in found)
     return found if has_floor else [*_sloped_ground(sweeps[0]), *found]
 
 
@@ -368,7 +359,7 @@ def _sloped_ground(sweep: AxisSweep) -> list[np.ndarray]:
             for direction, each in zip(sweep.directions, seen, strict=True)
         ]
         excess, ratio = min(support - median), min(support / np.maximum(median, 1e-4))
-        if _is_nearly_parallel(-up, normal) and excess > MIN_PEAK_EXCESS and ratio > MIN_PEAK_RATIO:
+        if are_near(-up, normal, MIN_SLOPE_COSINE) and excess > MIN_PEAK_EXCESS and ratio > MIN_PEAK_RATIO:
             return [normal]
     return []
 
@@ -391,14 +382,8 @@ def _fit(
 ) -> Float[np.ndarray, " 3"]:
     """The plane fitted again and again to where the pixels of both panoramas match best that it shows."""
     for _ in range(times):
-        normal = _fit_once(directions, normal, planes_from_second(normal[None])[0], stiffness)
+        seen = normal, planes_from_second(normal[None])[0]
+        points = _for_both_directions(directions, lambda which, each: each.matched_points(seen[which]))  # noqa: B023
+        equations = PlaneEquations.of(*points)
+        normal = fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool), stiffness)
     return normal
-
-
-def _fit_once(
-    directions: Directions, normal: np.ndarray, from_second: np.ndarray, stiffness: np.ndarray | float
-) -> Float[np.ndarray, " 3"]:
-    normals = normal, from_second
-    points = _for_both_directions(directions, lambda which, direction: direction.matched_points(normals[which]))
-    equations = PlaneEquations.of(*points)
-    return fit_to_inliers(normal, equations, np.ones(len(equations.rays), bool), stiffness)

@@ -130,11 +130,13 @@ def refine_depth_at_size(
     coarse = both(*(partial(_upsample_map, view, each, size) for view, each in zip(views, maps, strict=True)))
     pair = rectify(*views, size)
     pairs = (pair, pair.reversed())
-    first, second = (  # one after the other: costs take much memory
-        _match_around(each, _to_pair_frame(inverse_depth, view, each), options)
-        for each, (inverse_depth, _), view in zip(pairs, coarse, views, strict=True)
-    )
-    disparities = left_right_check((first, second), options.left_right_rows)
+    found = []  # one after the other: costs take much memory
+    for each, (inverse_depth, _), view in zip(pairs, coarse, views, strict=True):
+        directions = rotated_directions(each.size, view.pose.rotation, each.world_from_frame)
+        coarse_depth = RemapTable.for_directions(directions, inverse_depth.shape).nearest(inverse_depth)
+        ranges = _ranges_around(each.grid.disparity(coarse_depth))
+        found.append(match_disparities(each, ranges, options, is_complete_range=False)[0])
+    disparities = left_right_check((found[0], found[1]), options.left_right_rows)
     return both(*(partial(_replace_remeasured, *each) for each in zip(views, coarse, pairs, disparities, strict=True)))
 
 
@@ -143,18 +145,6 @@ def _upsample_map(view: View, coarse: InvDepthWithConfidence, size: tuple[int, i
     inverse_depth, confidence = coarse
     low_guide, guide = (resize_area(view.image, each) for each in (inverse_depth.shape, size))
     return joint_upsample(inverse_depth, low_guide, guide), resize_area(confidence, size)
-
-
-def _to_pair_frame(inverse_depth: np.ndarray, view: View, pair: RectifiedPair) -> np.ndarray:
-    """A map of the pair's first camera in the frame of the pair."""
-    directions = rotated_directions(pair.size, view.pose.rotation, pair.world_from_frame)
-    return RemapTable.for_directions(directions, inverse_depth.shape).nearest(inverse_depth)
-
-
-def _match_around(pair: RectifiedPair, inverse_depth: np.ndarray, options: MatchingOptions) -> DisparityMap:
-    """The best disparities near those of the coarse inverse depth."""
-    disparities = _ranges_around(pair.grid.disparity(inverse_depth))
-    return match_disparities(pair, disparities, options, is_complete_range=False)[0]
 
 
 def _ranges_around(disparity: Float32[np.ndarray, "height width"]) -> DisparityRange:

@@ -84,15 +84,10 @@ def aggregate_costs(
     cost: UInt16[np.ndarray, " costs"], disparities: DisparityRange, luminance: Float[np.ndarray, "height width"],
     p1: float, p2: float, p2_contrast: float,
 ) -> UInt16[np.ndarray, " costs"]:  # fmt: skip
-    """The sum over eight path directions of the cheapest way to each pixel and disparity, fixed-point.
+    """The sum over eight path directions of the cheapest way to each pixel and disparity, fixed-point as the costs.
 
-    Args:
-        cost: matching cost, fixed-point, at most :data:`MAX_COST`.
-        disparities: what the costs belong to; or labels without an order, the same ones everywhere.
-        luminance: P2 is divided by ``1 + |difference| / p2_contrast`` across an edge.
-        p1: penalty for neighbouring disparities; for labels without an order it equals P2.
-        p2: penalty for any other change, at most :data:`MAX_P2`.
-        p2_contrast: grey difference that halves P2.
+    A change to a neighbouring disparity costs ``p1``, any other one ``p2``, at most :data:`MAX_P2` and divided by
+    ``1 + |difference of luminance| / p2_contrast``. Labels without an order, the same ones everywhere, have equal ones.
     """
     height, width = luminance.shape
     fixed_p1, fixed_p2 = (round(FIXED_POINT_SCALE * min(penalty, p2, MAX_P2)) for penalty in (p1, p2))
@@ -201,20 +196,13 @@ def _adaptive_p2(edge, p2, inverse_contrast):  # type: ignore[no-untyped-def]
 
 @inlined()
 def _extend_path(cost, previous, length, current, shift, p1, p2, cheapest, sums):  # type: ignore[no-untyped-def]
-    """One step of a path to the next pixel; returns the least path cost there.
+    """One step of a path to the next pixel, whose first disparity is ``shift`` more; returns the least path cost there.
+
+    ``previous`` has the ``length`` path costs at the pixel before, between two paddings; ``current`` gets those at this
+    one, and ``sums`` has them added. A change by one costs ``p1``, any other one ``p2``. The least path cost before,
+    ``cheapest``, is subtracted, so that costs stay bounded.
 
     All loops vectorise: indices are unsigned, and results are cut back to 16 bits at once, so that none needs more.
-
-    Args:
-        cost: matching costs of the pixel.
-        previous: path costs at the pixel before, ``length`` of them between two paddings.
-        length: disparities of the pixel before.
-        current: written: path costs at this pixel, likewise padded.
-        shift: first disparity of this pixel minus that of the pixel before.
-        p1: penalty for a change by one.
-        p2: penalty for any other change.
-        cheapest: least path cost at the pixel before; subtracted, so that costs stay bounded.
-        sums: the path costs are added to these.
     """
     count, least, large_step = len(cost), UNREACHABLE_COST, np.uint16(cheapest + p2)
     # Disparities from `first` to `last` have a neighbour in the range before; others are only reached by a large step.

@@ -23,22 +23,13 @@ def find_sky(
     """
     is_above = sin_elevation > 0.0
     is_far = (inverse_depth < MAX_SKY_INVERSE_DEPTH) & is_above
-    region = _regions_at_zenith(is_far, sin_elevation)
+    labels = connected_regions(is_far, is_diagonal=False)
+    at_zenith = np.unique(labels[(sin_elevation > ZENITH_SINE) & is_far])
+    region = np.isin(labels, at_zenith[at_zenith > 0])
     area, textured_area = (solid_angle * region).sum(), (solid_angle * (region & valid)).sum()
     if area < MIN_SKY_SHARE * solid_angle.sum() or textured_area < MIN_SKY_TEXTURE_SHARE * area:
         return np.zeros_like(is_far)
-    return np.asarray(region | _small_regions(~region & is_above, solid_angle))
-
-
-def _regions_at_zenith(mask: np.ndarray, sin_elevation: np.ndarray) -> np.ndarray:
-    labels = connected_regions(mask, is_diagonal=False)
-    reaching = np.unique(labels[(sin_elevation > ZENITH_SINE) & mask])
-    return np.asarray(np.isin(labels, reaching[reaching > 0]))
-
-
-def _small_regions(mask: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
-    labels = connected_regions(mask, is_diagonal=False)
-    area = np.bincount(labels.ravel(), solid_angle.ravel())
-    is_small = area < MAX_SKY_GAP_SHARE * solid_angle.sum()
-    is_small[0] = False
-    return np.asarray(is_small[labels])
+    labels = connected_regions(~region & is_above, is_diagonal=False)
+    is_gap = np.bincount(labels.ravel(), solid_angle.ravel()) < MAX_SKY_GAP_SHARE * solid_angle.sum()
+    is_gap[0] = False
+    return np.asarray(region | is_gap[labels])

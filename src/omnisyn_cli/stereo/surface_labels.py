@@ -6,7 +6,6 @@ match at all.
 Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-based rendering, 2009.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -62,8 +61,11 @@ def label_surfaces(
     A plane is valid also where there is no texture; a match is not.
     """
     grid, planes = pair.grid, candidates.normals
-    is_static = _static_texture(grid, matches)
-    is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
+    # Above the horizon and away from the epipoles no parallax means infinity. Texture without any there is static:
+    # clouds, or what stands at the horizon.
+    can_show_infinity = (grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > MIN_SKY_EPIPOLE_SINE)
+    is_static = matches.valid & can_show_infinity & (matches.disparity < 1.0)
+    is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * can_show_infinity.sum())
     disparities = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
     bound, support = _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open), PlaneSupport.of(pair, matches)
 
@@ -76,14 +78,16 @@ def label_surfaces(
             known = support.around(planes[k - 1], bool(candidates.is_measured[k - 1]), cost)
         return options.unsupported_plane_penalty * (1.0 - known)
 
-    costs = np.empty((*pair.size, len(disparities)), np.uint16)
-    for k, cost in enumerate(_candidate_costs(pair, disparities, options)):
+    costs, luminance = np.empty((*pair.size, len(disparities)), np.uint16), luminance_of(pair.first)
+    signature, colour = census_transform(luminance), (options.colour_weight, options.colour_truncation)
+    for k, disparity in enumerate(disparities):  # costs of all of them would not fit the cache of a processor
+        cost = surface_cost(pair.first, signature, pair.second, pair.second_usable, disparity, *colour)
         own_bias = bias(k, cost)
         cost += options.outside_floor_ceiling_penalty * (disparities[k] < bound)
         if pair.prior is not None:
             cost += pair.prior.cost(disparities[k])
         costs[..., k] = to_fixed_point(cost + own_bias)
-    label = _select_labels(costs, luminance_of(pair.first), disparities, options)
+    label = _select_labels(costs, luminance, disparities, options)
     disparity = np.take_along_axis(disparities, label[None], axis=0)[0]
     return DisparityMap(disparity, pair.first_usable & ((label > 0) | matches.valid))
 
@@ -115,18 +119,6 @@ def _candidate_disparities(
     if is_sky_open:
         candidates[-1] = np.where(grid.sin_elevation > 0, 0.0, NOT_VISIBLE_DISPARITY)
     return candidates
-
-
-def _candidate_costs(
-    pair: RectifiedPair, candidates: np.ndarray, options: MatchingOptions
-) -> Iterator[Float32[np.ndarray, "height width"]]:
-    """One after the other: all of them would not fit the cache of a processor."""
-    signature = census_transform(luminance_of(pair.first))
-    for disparity in candidates:
-        yield surface_cost(
-            pair.first, signature, pair.second, pair.second_usable, disparity, options.colour_weight,
-            options.colour_truncation,
-        )  # fmt: skip
 
 
 class PlaneSupport(NamedTuple):
@@ -182,16 +174,6 @@ def _density(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     blurred = cv2.GaussianBlur(small, (0, 0), sigmaX=rows / PLANE_SUPPORT_SIGMAS_PER_HEIGHT)
     large = cv2.resize(blurred, (2 * width, height))
     return np.concatenate([large[:, width : width + width // 2], large[:, width // 2 : width]], axis=1)
-
-
-def _can_show_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
-    """Above the horizon and away from the epipoles: no parallax means infinity there."""
-    return np.asarray((grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > MIN_SKY_EPIPOLE_SINE))
-
-
-def _static_texture(grid: EpipolarGrid, matches: DisparityMap) -> Bool[np.ndarray, "height width"]:
-    """Texture above the horizon that has no parallax: clouds, or what stands at the horizon."""
-    return np.asarray(matches.valid & _can_show_infinity(grid) & (matches.disparity < 1.0))
 
 
 def _floor_and_ceiling_bound(

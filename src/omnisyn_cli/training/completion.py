@@ -85,7 +85,14 @@ def draw_completion(
                 wanted = f"{size[0]} or {2 * size[0]} rows"
                 raise InputError(f"expected evidence of {wanted} in {path}, got {rows}; choose another --height")
             sample = stored if rows == size[0] else _halve(stored, rng)
-            drawn.append(_roll_and_flip(_jitter_colours(sample, rng) if augment else sample, rng))
+            if augment:
+                sample = _jitter_colours(sample, rng)
+            # a mirror image changes no channel's sign, and no channel depends on the seam
+            flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(sample.sqrt_inv_depth.shape[-1]))
+            channels, sqrt_depth = (
+                np.roll(x[..., ::flip], turn, axis=-1) for x in (sample.channels, sample.sqrt_inv_depth)
+            )
+            drawn.append(FeatureBatch(channels, sqrt_depth, sample.baseline))
     return stacked(drawn)
 
 
@@ -98,13 +105,6 @@ def _jitter_colours(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatc
         colour = np.clip(channels[begin : begin + 3] * gain, 1e-4, 1.0) ** gamma
         channels[begin : begin + 3] = (colour * tint if begin else colour)[order]
     return replace(pair, channels=channels)
-
-
-def _roll_and_flip(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:
-    """A mirror image changes no channel's sign, and no channel depends on the seam."""
-    flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(pair.sqrt_inv_depth.shape[-1]))
-    channels, sqrt_depth = (np.roll(x[..., ::flip], turn, axis=-1) for x in (pair.channels, pair.sqrt_inv_depth))
-    return FeatureBatch(channels, sqrt_depth, pair.baseline)
 
 
 def _halve(pair: FeatureBatch, rng: np.random.Generator) -> FeatureBatch:

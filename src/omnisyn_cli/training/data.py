@@ -198,11 +198,7 @@ def vary_colours(
     varied = np.clip(varied + sigma * rng.standard_normal(varied.shape, dtype=f32), 0.0, 1.0)
     for image in varied:
         if rng.random() < a.jpeg:
-            image[:] = _compress_jpeg(image, int(rng.integers(40, 96)))
+            quality, eight_bit = int(rng.integers(40, 96)), (image * 255.0 + 0.5).astype(np.uint8)
+            _, data = cv2.imencode(".jpg", eight_bit, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            image[:] = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=f32) / f32(255.0)
     return np.asarray(varied, dtype=f32)
-
-
-def _compress_jpeg(image: Float32[np.ndarray, "height width 3"], quality: int) -> np.ndarray:
-    eight_bit = (image * 255.0 + 0.5).astype(np.uint8)
-    _, data = cv2.imencode(".jpg", eight_bit, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.float32) / np.float32(255.0)

@@ -158,7 +158,10 @@ class Trainer:
         if torch.isfinite(norm):
             self.optimizer.step()
         self.step += 1
-        self._follow()
+        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            for name, value in self.network.state_dict().items():
+                self.average[name].lerp_(value, 1.0 - decay)
         return float(loss.detach())
 
     def _batch(self) -> Any:
@@ -173,12 +176,6 @@ class Trainer:
         rng = np.random.default_rng([self.config.seed, step])
         with at_most(1):
             return self.task.draw(pool, rng, self.config_at(step), self.network, Augmentation())
-
-    @torch.no_grad()
-    def _follow(self) -> None:
-        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
-        for name, value in self.network.state_dict().items():
-            self.average[name].lerp_(value, 1.0 - decay)
 
     def surpasses(self, loss: float) -> bool:
         """Whether a loss is the least so far, which is kept; TrainingError: far above it, the run has collapsed."""

@@ -252,11 +252,7 @@ def fusion_scores(
     truth, geometric = (downsample_to(picture, image) for image in (truth, geometric))
     is_hole = (channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=1, keepdim=True) == 0).to(picture.dtype)
     hole = functional.interpolate(is_hole, size=tuple(picture.shape[-2:])).expand_as(picture) > 0
-    ours, theirs = (_ws_psnr(x, truth) for x in (picture, geometric))
+    squared = [((x.clamp(0.0, 1.0) - truth).square() * polar_weights(truth)).mean() for x in (picture, geometric)]
+    ours, theirs = (float(-10.0 * torch.log10(each.clamp(min=MIN_SQUARED_ERROR))) for each in squared)
     errors = [float((x - truth).abs()[hole].mean()) for x in (picture, geometric)]
     return {"ws_psnr": ours, "gain": ours - theirs, "hole_error": errors[0], "hole_gain": errors[1] - errors[0]}
-
-
-def _ws_psnr(picture: Tensor, truth: Tensor) -> float:
-    squared = ((picture.clamp(0.0, 1.0) - truth).square() * polar_weights(truth)).mean()
-    return float(-10.0 * torch.log10(squared.clamp(min=MIN_SQUARED_ERROR)))

@@ -128,9 +128,8 @@ def test_fractions_of_degrees_are_read_and_their_loss_of_digits_is_said(tmp_path
 
 @pytest.mark.parametrize("latitude", [90.0, -90.0, 0.0])
 def test_poles_and_equator_are_no_special_places(tmp_path, latitude):
-    table = write_text(
-        tmp_path / "t.csv", "image,lat,lng,heading", f"a.jpg,{latitude},180,0", f"b.jpg,{latitude},-180,0"
-    )
+    rows = (f"a.jpg,{latitude},180,0", f"b.jpg,{latitude},-180,0")
+    table = write_text(tmp_path / "t.csv", "image,lat,lng,heading", *rows)
     first, second = (view.pose for view in imported(table, expected="table").views)
     np.testing.assert_allclose(first.rotation, np.eye(3), atol=1e-12)
     assert second.almost_equals(first, metres=1e-6)
@@ -226,9 +225,8 @@ def test_the_compass_stands_in_for_gpano(tmp_path):
     tags = gps(*ORIGIN) | {"GPS:ImgDirection": 45.0, "GPS:ImgDirectionRef": "M"}
     write_images(tmp_path, ["a.jpg"], **tags)
     result = imported(tmp_path, expected="exif")
-    np.testing.assert_allclose(
-        result.views[0].pose.rotation @ [0, 0, -1], [math.sqrt(0.5), 0, -math.sqrt(0.5)], atol=1e-6
-    )
+    ahead = result.views[0].pose.rotation @ [0, 0, -1]
+    np.testing.assert_allclose(ahead, [math.sqrt(0.5), 0, -math.sqrt(0.5)], atol=1e-6)
     notes = " ".join(result.notes)
     assert "magnetic" in notes
     assert "GPSImgDirection" in notes
@@ -251,10 +249,8 @@ def test_altitudes_are_for_all_or_none(tmp_path):
 
 
 def test_radians_are_suspected(tmp_path):
-    result = imported(
-        write_text(tmp_path / "a.csv", "image,lat,lng,heading", "a,1,2,3.1", "b,1,2,-1.5"), expected="table"
-    )
-    assert any("are they radians" in note for note in result.notes)
+    table = write_text(tmp_path / "a.csv", "image,lat,lng,heading", "a,1,2,3.1", "b,1,2,-1.5")
+    assert any("are they radians" in note for note in imported(table, expected="table").notes)
 
 
 def test_images_of_one_name_in_two_folders_are_two_images(tmp_path):

@@ -31,11 +31,7 @@ every_format = pytest.mark.parametrize("format_name", [name for name in EXPORT_F
 def turns() -> list[np.ndarray]:
     """Rotations, those that singularities love among them: none, tiny, half turns about every axis, any."""
     special = [(1e-12, 0, 0), (0, 1e-7, 0), (np.pi, 0, 0), (0, np.pi, 0), (0, 0, np.pi), (np.pi - 1e-9, 1e-9, 0)]
-    return [
-        np.eye(3),
-        *(axis_angle(vector)[0] for vector in special),
-        *(axis_angle(turn)[0] for turn, _, _ in samples(8)),
-    ]
+    return [np.eye(3), *(axis_angle(vector)[0] for vector in (*special, *(turn for turn, _, _ in samples(8))))]
 
 
 def written(folder: Path) -> PoseFile:

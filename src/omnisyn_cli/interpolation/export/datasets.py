@@ -234,9 +234,12 @@ def write_colmap_view(folder: Path, stem: str, surface: PanoramaSurface, side: i
     u, v = pixel_to_texture(np.arange(side), np.arange(side), (side, side))
     x, y = np.meshgrid(2.0 * u - 1.0, 2.0 * v - 1.0)
     rays = np.stack([x, y, np.ones_like(x)], -1)
+    if picture.shape[1] > MAX_REMAP_COLUMNS:
+        picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     for face, turn in FACES.items():
         directions = rays @ (CAMERA_AXES["opencv"].T @ turn).T
-        _write_picture(rig / "images" / face / name, _seen_along(picture, directions))
+        shown = RemapTable.for_directions(directions, picture.shape).bicubic(picture)
+        _write_picture(rig / "images" / face / name, shown)
         along_axis = _depth(sample_nearest(inverse_depth, directions), 0.0) / np.linalg.norm(rays, axis=-1)
         # COLMAP's dense maps: width, height and channels in words, then float32, row after row
         map_file = rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin"
@@ -278,13 +281,6 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
     text = nerfstudio_text(poses, sizes, images, folder, companions, shared)
     write_file(folder / TRANSFORMS, "the model", text.encode())
     write_ply(folder / "points.ply", ply_points(points), ["metres, z up"])
-
-
-def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.ndarray) -> np.ndarray:
-    """The panorama in some directions, bicubic."""
-    if picture.shape[1] > MAX_REMAP_COLUMNS:
-        picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    return RemapTable.for_directions(directions, picture.shape).bicubic(picture)
 
 
 def _usable(surface: PanoramaSurface) -> Bool[np.ndarray, "height width"]:

@@ -147,7 +147,9 @@ def _stitched(mesh: Mesh, rectangles: np.ndarray) -> Part:
     number = np.cumsum(used.ravel()).reshape(used.shape) - 1
     vertex_row, vertex_col = np.nonzero(used)
     vertices = _vertices(mesh, vertex_row, vertex_col)
-    middles, middle_pixels = _middles(mesh, row[is_fan], col[is_fan])
+    middles = _vertices(mesh, row[is_fan], col[is_fan]).mean(axis=1)
+    middle_row, middle_col = direction_to_pixel(middles[:, :3], mesh.size)
+    middle_pixels = np.stack([middle_row, _near(middle_col, col[is_fan].mean(axis=1), width)], -1)
     middle_of = len(vertices) + np.cumsum(is_fan) - 1
     rim, in_fan = number[rim_row, rim_col], is_fan[owner]
     first = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -169,13 +171,6 @@ def _rims(rectangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     down = np.minimum(step, tall) - np.clip(step - tall - wide, 0, tall)
     right = np.clip(step - tall, 0, wide) - np.clip(step - 2 * tall - wide, 0, wide)
     return owner, row[owner] + down, col[owner] + right
-
-
-def _middles(mesh: Mesh, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The points in the middle of rectangles, and where in the picture they are."""
-    middle = _vertices(mesh, row, col).mean(axis=1)
-    seen_row, seen_col = direction_to_pixel(middle[:, :3], mesh.size)
-    return middle, np.stack([seen_row, _near(seen_col, col.mean(axis=1), mesh.size[1])], -1)
 
 
 def _two_triangles(mesh: Mesh, row: np.ndarray, col: np.ndarray, number: np.ndarray) -> np.ndarray:

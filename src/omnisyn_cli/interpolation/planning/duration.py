@@ -20,7 +20,7 @@ from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
 from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, gain, quality, read_table
-from omnisyn_cli.pipeline.config import DepthSource, RunConfig
+from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.pipeline.presets import SCALE
 
 TABLE_NAME = "pareto.json"  # figures of speed that come with the program
@@ -81,7 +81,10 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
     """What a job will take on this machine; None where its depth, renderer or fusion was never measured."""
     table, config = shipped_table() if table is None else table, plan.config
     is_found = config.estimates_depth
-    finders = _alike(table, config, lambda other: is_found and _alike_in_time(other.depth))
+    # the answers of a network of the user's are counted besides
+    finders = _alike(
+        table, config, lambda other: is_found and (other.depth.kind, other.depth.model, other.depth.prior is None)
+    )
     sizes = _alike(table, config, lambda other: (other.renderer, other.fusion, other.edges))
     prior_seconds = plan.prior_cost.seconds
     if not (finders and sizes and config.draws_surfaces) or prior_seconds is None:
@@ -94,11 +97,6 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
     work = panoramas * decoding + (panoramas - 1) * pair + frames
     slowness = probe() / median(figures.probe for figures in table)
     return Duration(slowness * (found["start"] + work / threads**THREAD_SCALING_EXPONENT) + prior_seconds)
-
-
-def _alike_in_time(source: DepthSource) -> tuple[Any, ...]:
-    """Equal where depth takes as long; the answers of a network of the user's are counted besides."""
-    return source.kind, source.model, source.prior is None
 
 
 def _alike(table: Sequence[Figures], config: RunConfig, trait: Callable[[RunConfig], Any]) -> list[Figures]:

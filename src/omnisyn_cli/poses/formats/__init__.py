@@ -12,30 +12,15 @@ from typing import Any
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import read_json
+from omnisyn_cli.poses.formats import files, trajectories
 from omnisyn_cli.poses.formats.colmap import read_colmap
 from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
-from omnisyn_cli.poses.formats.files import (
-    CAMERAS_UP,
-    IMAGE_SUFFIXES,
-    ImportedPoses,
-    ImportOptions,
-    data_lines,
-    entries,
-    images_in,
-    levelled,
-)
+from omnisyn_cli.poses.formats.files import CAMERAS_UP, IMAGE_SUFFIXES, ImportedPoses, ImportOptions
+from omnisyn_cli.poses.formats.geographic import read_exif
 from omnisyn_cli.poses.formats.json_files import ZIND_FILE_NAME, read_nerfstudio, read_opensfm, read_zind
-from omnisyn_cli.poses.formats.known_places import read_exif
 from omnisyn_cli.poses.formats.metashape import read_metashape
 from omnisyn_cli.poses.formats.tables import is_metric, read_table, read_xyz
-from omnisyn_cli.poses.formats.trajectories import (
-    ROTATIONS,
-    habitat_folders,
-    read_authors,
-    read_habitat,
-    read_kitti,
-    read_tum,
-)
+from omnisyn_cli.poses.formats.trajectories import ROTATIONS, read_authors, read_habitat, read_kitti, read_tum
 
 
 @dataclass(frozen=True)
@@ -72,13 +57,11 @@ FORMAT_BY_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors", ".xml":
 
 
 def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptions) -> tuple[str, ImportedPoses]:
-    """Read poses of another program.
+    """Read poses of another program; the answer is the name of the format and what was read.
 
-    ``sources`` are one file or folder, or for ``exif`` any number of images; ``format_name`` is one of
-    :data:`IMPORT_FORMATS` or ``auto``. The answer is the format's name and what was read.
-
-    Raises PoseError: nothing known there, malformed, no folder of images, or an option that does not go with the
-    format; ImageError: an image (exif) that is none.
+    Sources are one file or folder, or for ``exif`` any number of images; ``format_name`` is one of
+    :data:`IMPORT_FORMATS` or ``auto``. PoseError: unknown or malformed, no folder of images, an unfit option;
+    ImageError: an image (exif) that is none.
     """
     chosen = detected_format(sources) if format_name == "auto" else format_name
     if chosen not in FORMATS:
@@ -89,7 +72,7 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
     if options.up != "cameras":
         return chosen, form.read(source, options)
     imported = form.read(source, replace(options, up=None))
-    turned = levelled([view.pose for view in imported.views])
+    turned = files.levelled([view.pose for view in imported.views])
     views = tuple(replace(view, pose=pose) for view, pose in zip(imported.views, turned, strict=True))
     kept = tuple(note for note in imported.notes if not note.startswith("world:"))
     return chosen, replace(imported, views=views, notes=(*kept, CAMERAS_UP))
@@ -110,7 +93,7 @@ def _check_options(chosen: str, sources: Sequence[Path], options: ImportOptions)
     if len(sources) > 1 and not form.is_of_many:
         raise PoseError(f"{sources[1]}: expected one source of format {chosen}, got {len(sources)}; give one")
     if options.images is not None:
-        entries(options.images)
+        files.entries(options.images)
     unfit = {
         "--origin": options.origin is not None and not form.is_on_earth,
         "--up": options.up is not None and form.is_level,
@@ -128,13 +111,13 @@ def _of_folder(folder: Path) -> str:
     found = [name for name, mark in marks.items() if (folder / mark).is_file()]
     if not found and is_model(folder):
         found = ["colmap"]
-    if not found and habitat_folders(folder):
+    if not found and trajectories.habitat_folders(folder):
         found = ["habitat"]
     if len(found) > 1:
         raise PoseError(f"{folder}: expected poses of one program, got {', '.join(found)}; choose with --format")
     if found:
         return found[0]
-    if images_in(folder):
+    if files.images_in(folder):
         return "exif"
     raise _unknown(folder, f"none of {', '.join(marks.values())}, rot.txt in sub-folders, or images")
 
@@ -150,7 +133,7 @@ def _of_file(path: Path) -> str:
     if suffix in FORMAT_BY_SUFFIX:
         by_suffix = FORMAT_BY_SUFFIX[suffix]
         return "xyz" if by_suffix == "table" and is_metric(path) else by_suffix
-    _, line = next(data_lines(path), (0, ""))
+    _, line = next(files.data_lines(path), (0, ""))
     if not line:
         raise _unknown(path, "an empty file")
     columns = len(line.replace(",", " ").split())

@@ -92,8 +92,7 @@ def colmap_files(
 ) -> dict[str, str]:
     """``cameras.txt``, ``images.txt`` and ``points3D.txt`` by name.
 
-    World-from-camera poses and sizes ``(height, width)`` are by the names of the images, points ``X Y Z R G B`` in
-    COLMAP's world; they are seen in no image as far as the file says.
+    World-from-camera poses and sizes ``(height, width)`` are by image, points ``X Y Z R G B`` in COLMAP's world.
     """
     cameras = {size: number for number, size in enumerate(dict.fromkeys(sizes.values()), start=1)}
     camera_lines = [
@@ -128,17 +127,13 @@ def colmap_rig_files(
             f"{first + k} {_numbers(face_from_rig @ rig_from_world)} {k + 1} {face}/{name}\n"
             for k, (face, face_from_rig) in enumerate(rig_poses.items())
         ]
+    rig_line = " ".join([f"1 {len(faces)} CAMERA 1", *sensors])
+    of_frame = "NUM_DATA_IDS DATA_IDS[SENSOR_TYPE SENSOR_ID DATA_ID]"
     sensor = "SENSORS[TYPE SENSOR_ID HAS_POSE QW QX QY QZ TX TY TZ]"
     return {
         **_model(camera_lines, image_lines, points),
-        "rigs.txt": _text(
-            f"RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID {sensor}",
-            [" ".join([f"1 {len(faces)} CAMERA 1", *sensors])],
-        ),
-        "frames.txt": _text(
-            "FRAME_ID RIG_ID RIG_FROM_WORLD[QW QX QY QZ TX TY TZ] NUM_DATA_IDS DATA_IDS[SENSOR_TYPE SENSOR_ID DATA_ID]",
-            frame_lines,
-        ),
+        "rigs.txt": _text(f"RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID {sensor}", [rig_line]),
+        "frames.txt": _text(f"FRAME_ID RIG_ID RIG_FROM_WORLD[QW QX QY QZ TX TY TZ] {of_frame}", frame_lines),
         "rig_config.json": json.dumps([{"cameras": [_in_rig(*item) for item in rig_poses.items()]}], indent=1) + "\n",
     }
 

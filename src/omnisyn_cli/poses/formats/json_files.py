@@ -66,7 +66,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
     path = source / "transforms.json" if source.is_dir() else source
     document = validated(path, Transforms, read_json(path))
     scale = document.applied_scale * _scale_of(path, document.applied_transform)
-    views, skipped, undeclared = [], [], False
+    views, skipped, undeclared, is_scaled = [], [], False, abs(scale - 1.0) > 1e-9
     for index, frame in enumerate(document.frames):
         model = frame.camera_model or document.camera_model
         undeclared |= model is None
@@ -93,9 +93,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
     notes = {
         "distances: nerfstudio promises no scale, they are taken as metres": True,
         "world: applied_transform is kept: z of the file's world is up": document.applied_transform is not None,
-        f"distances: divided by the applied scale {scale:.6g}, back to those of the file's own source": (
-            abs(scale - 1.0) > 1e-9
-        ),
+        f"distances: divided by the applied scale {scale:.6g}, back to those of the file's own source": is_scaled,
         "cameras: no camera_model, images are taken as equirectangular panoramas": undeclared,
         f"left out: {listed(skipped)}, whose camera_model is not EQUIRECTANGULAR": skipped,
     }
@@ -145,9 +143,8 @@ def _scale_of(path: Path, transform: list[Row] | None) -> float:
 SPHERICAL_PROJECTIONS = frozenset({"spherical", "equirectangular"})
 MAX_ABSOLUTE = 1e9  # Radians or metres; more is a mistake, and its square might overflow
 
-Vector = Annotated[
-    list[Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]], Field(min_length=3, max_length=3)
-]  # fmt: skip
+Coordinate = Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]
+Vector = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 
 
 class Camera(ForeignModel):
@@ -257,10 +254,7 @@ def read_tour(path: Path) -> Tour:
 
 
 def pose_on_floor(panorama: Panorama, metres: float) -> Pose:
-    """The mirrored similarity: (x, y) of the floor is (−x, −z) of ours, counter-clockwise there is clockwise here.
-
-    A unit of the floor is ``metres`` long.
-    """
+    """The mirrored similarity, ``metres`` per unit: (x, y) there is (−x, −z) here, counter-clockwise is clockwise."""
     similarity = panorama.floor_plan_transformation
     x, y = similarity.translation
     height = panorama.camera_height * similarity.scale
@@ -269,10 +263,7 @@ def pose_on_floor(panorama: Panorama, metres: float) -> Pose:
 
 
 def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
-    """Poses of the panoramas of one floor of a ``zind_data.json``, or of its folder.
-
-    The world's y counts from the floor, x and z span the floor plan.
-    """
+    """Poses of one floor of a ``zind_data.json``, or of its folder; y counts from the floor, x and z span its plan."""
     path = source / ZIND_FILE_NAME if source.is_dir() else source
     tour = read_tour(path)
     floor = _floor(path, tour, options)

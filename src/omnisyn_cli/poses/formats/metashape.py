@@ -15,20 +15,12 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, enu_from_ecef, geographic_from_ecef
 from omnisyn_cli.io.documents import listed, read_xml
 from omnisyn_cli.poses.entries import checked_rotation
-from omnisyn_cli.poses.formats.files import (
-    CAMERAS_UP,
-    ImportedPoses,
-    ImportedView,
-    ImportOptions,
-    find_view,
-    levelled,
-    noted,
-    numbers,
-)
-from omnisyn_cli.poses.formats.geographic import enu_from_ecef, geographic_from_ecef, origin_note
+from omnisyn_cli.poses.formats import files
+from omnisyn_cli.poses.formats.files import CAMERAS_UP, ImportedPoses, ImportedView, ImportOptions
+from omnisyn_cli.poses.formats.geographic import origin_note
 
 MIN_EARTH_RADIUS = 6.2e6  # metres from the centre of the earth that no camera is nearer to
 
@@ -58,7 +50,7 @@ def read_metashape(source: Path, options: ImportOptions) -> ImportedPoses:
     is_local = (chunk.findtext("reference") or "LOCAL_CS").startswith("LOCAL_CS")
     views, notes = _in_world(source, posed, similarity, options, is_local=is_local)
     left_out = [_label(camera) for camera in chunk.iter("camera") if camera not in chosen]
-    return ImportedPoses(views, noted({**notes, f"left out: {listed(left_out)}": left_out}))
+    return ImportedPoses(views, files.noted({**notes, f"left out: {listed(left_out)}": left_out}))
 
 
 def _in_world(
@@ -87,10 +79,10 @@ def _in_world(
     if transform is None:
         notes["distances: the chunk has no scale; its units are taken as metres"] = True
         if options.up is None:
-            ours, notes[CAMERAS_UP] = levelled(ours), True
+            ours, notes[CAMERAS_UP] = files.levelled(ours), True
     folders = [source.parent, source.parent / "images"]
     named = zip(posed, ours, strict=True)
-    return tuple(find_view(str(source), name, pose, folders, options) for (name, _), pose in named), notes
+    return tuple(files.find_view(str(source), name, pose, folders, options) for (name, _), pose in named), notes
 
 
 def _label(camera: Element) -> str:
@@ -98,10 +90,10 @@ def _label(camera: Element) -> str:
 
 
 def _pose(where: str, camera: Element) -> Pose:
-    matrix = numbers(where, (camera.findtext("transform") or "").split(), 16, "a 4×4 matrix").reshape(4, 4)
+    matrix = files.numbers(where, (camera.findtext("transform") or "").split(), 16, "a 4×4 matrix").reshape(4, 4)
     return Pose(checked_rotation(where, matrix[:3, :3]), matrix[:3, 3])
 
 
 def _values(where: str, parent: Element, name: str, count: int, default: np.ndarray) -> np.ndarray:
     text = parent.findtext(name)
-    return default if text is None else numbers(where, text.split(), count, name)
+    return default if text is None else files.numbers(where, text.split(), count, name)

@@ -22,15 +22,8 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.documents import listed, read_json, read_text
 from omnisyn_cli.poses.entries import checked_quaternion
-from omnisyn_cli.poses.formats.files import (
-    WORLD_UP,
-    ImportedPoses,
-    ImportedView,
-    ImportOptions,
-    find_image,
-    noted,
-    numbers,
-)
+from omnisyn_cli.poses.formats import files
+from omnisyn_cli.poses.formats.files import WORLD_UP, ImportedPoses, ImportedView, ImportOptions
 from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places, rotation_at
 
 # What a column may be called, in small letters; the first name that occurs wins.
@@ -45,6 +38,7 @@ COLUMNS = {
     **{axis: (axis, f"pano_pos_{axis}", f"pos_{axis}", f"position_{axis}", f"t{axis}") for axis in "xyz"},
     **{f"q{part}": (f"q{part}", f"pano_ori_{part}", f"ori_{part}", f"quat_{part}") for part in "wxyz"},
 }
+Rows = dict[str, tuple[str, dict[str, Any]]]  # place and fields of each, by the name of its image
 POSITION, QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 REQUIRED_COLUMNS = ("image", "latitude", "longitude", "heading")
 MAX_RADIAN_HEADING = 6.3  # Just above 2π: headings that all stay below may be radians
@@ -69,25 +63,21 @@ def read_xyz(source: Path, options: ImportOptions) -> ImportedPoses:
     rows, images = _named_rows(source, ("image", *POSITION), options)
     poses = {name: _metric_pose(where, row, options) for name, (where, row) in rows.items()}
     fields = [row for _, row in rows.values()]
-    have_quaternions = any({*QUATERNION} <= row.keys() for row in fields)
+    are_guessed = options.camera is None and any({*QUATERNION} <= row.keys() for row in fields)
     first = next(iter(poses.values())).position
     start = first if np.abs(first).max() > MAX_LOCAL_METRES else np.zeros(3)
     views = [ImportedView(name, Pose(p.rotation, p.position - start), images[name]) for name, p in poses.items()]
     notes = {
         "world: z is taken to point up, as surveyors have it; --up says otherwise": options.up is None,
-        "cameras: taken to have x forward, y left, z up, as NavVis has it; --camera-axes says otherwise": (
-            have_quaternions and options.camera is None
-        ),
+        "cameras: taken to have x forward, y left, z up, as NavVis has it; --camera-axes says otherwise": are_guessed,
         "positions: counted from the first panorama, as coordinates are large": start.any(),
     }
-    return ImportedPoses(tuple(views), (*noted(notes), *_table_notes(fields)))
+    return ImportedPoses(tuple(views), (*files.noted(notes), *_table_notes(fields)))
 
 
-def _named_rows(
-    source: Path, required: Sequence[str], options: ImportOptions
-) -> tuple[dict[str, tuple[str, dict[str, Any]]], dict[str, Path | None]]:
+def _named_rows(source: Path, required: Sequence[str], options: ImportOptions) -> tuple[Rows, dict[str, Path | None]]:
     """Place and fields of every row by the name of its image, and the images that were found."""
-    rows: dict[str, tuple[str, dict[str, Any]]] = {}
+    rows: Rows = {}
     images = {}
     for where, row in _rows(source, required):
         name = str(row.get("image", "")).strip()
@@ -95,7 +85,7 @@ def _named_rows(
             found = f"'{name}' twice" if name else "none"
             raise PoseError(f"{where}: expected the name of another image, got {found}; correct it")
         rows[name] = where, row
-        images[name] = find_image(where, name, [source.parent, source.parent / "images"], options)
+        images[name] = files.find_image(where, name, [source.parent, source.parent / "images"], options)
     if not rows:
         raise PoseError(f"{source}: expected at least one panorama, got none; check the file")
     return rows, images
@@ -114,7 +104,7 @@ def _metric_pose(where: str, row: Mapping[str, Any], options: ImportOptions) -> 
 
 
 def _numbers(where: str, row: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
-    return np.array([numbers(where, [str(row.get(name, ""))], 1, name)[0] for name in names])
+    return np.array([files.numbers(where, [str(row.get(name, ""))], 1, name)[0] for name in names])
 
 
 def _rows(source: Path, required: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -192,15 +182,11 @@ def _place_in_table(where: str, row: Mapping[str, Any]) -> Place:
 def _table_notes(rows: list[dict[str, Any]]) -> tuple[str, ...]:
     headings = [float(row["heading"]) for row in rows if "heading" in row and "qw" not in row]
     ignored = sorted({key for row in rows for key in row} - set(COLUMNS) - {"location"})
-    return noted(
-        {
-            "angles: degrees; heading of the image centre clockwise from true north, pitch up, roll as in GPano": (
-                headings
-            ),
-            "headings: all within ±6.3, are they radians? they are taken as degrees": (
-                any(headings) and all(abs(heading) <= MAX_RADIAN_HEADING for heading in headings)
-            ),
-            altitudes_note("a street-view elevation"): any("altitude" in row for row in rows),
-            f"ignored: columns {listed(ignored, 8)}": ignored,
-        }
-    )
+    are_small = any(headings) and all(abs(heading) <= MAX_RADIAN_HEADING for heading in headings)
+    notes = {
+        "angles: degrees; heading of the image centre clockwise from true north, pitch up, roll as in GPano": headings,
+        "headings: all within ±6.3, are they radians? they are taken as degrees": are_small,
+        altitudes_note("a street-view elevation"): any("altitude" in row for row in rows),
+        f"ignored: columns {listed(ignored, 8)}": ignored,
+    }
+    return files.noted(notes)

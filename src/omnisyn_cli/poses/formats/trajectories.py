@@ -22,21 +22,8 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation, rotation_angle
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.entries import checked_quaternion, checked_rotation
-from omnisyn_cli.poses.formats.files import (
-    ImportedPoses,
-    ImportedView,
-    ImportOptions,
-    data_lines,
-    default_folder,
-    entries,
-    find_view,
-    foreign_from_pose,
-    images_in,
-    natural_key,
-    noted,
-    numbers,
-    read_array,
-)
+from omnisyn_cli.poses.formats import files
+from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, ImportOptions
 
 # How :func:`tum_text` keeps names, which the format has no place for: ``# image TIMESTAMP NAME``.
 NAME_COMMENT = "# image "
@@ -45,9 +32,9 @@ NAME_COMMENT = "# image "
 def read_tum(source: Path, options: ImportOptions) -> ImportedPoses:
     """Poses of a TUM trajectory."""
     stamped: dict[float, Pose] = {}
-    for number, line in data_lines(source):
+    for number, line in files.data_lines(source):
         where = f"{source}:{number}"
-        values = numbers(where, line.replace(",", " ").split(), 8, "timestamp tx ty tz qx qy qz qw")
+        values = files.numbers(where, line.replace(",", " ").split(), 8, "timestamp tx ty tz qx qy qz qw")
         if values[0] in stamped:
             raise PoseError(f"{where}: expected every time stamp once, got {values[0]!r} again; remove one line")
         foreign = Pose(checked_quaternion(where, values[[7, 4, 5, 6]]), values[1:4])
@@ -59,9 +46,9 @@ def read_tum(source: Path, options: ImportOptions) -> ImportedPoses:
 def read_kitti(source: Path, options: ImportOptions) -> ImportedPoses:
     """Poses of a KITTI trajectory, for the panoramas of a folder in natural order of their names."""
     poses = []
-    for number, line in data_lines(source):
+    for number, line in files.data_lines(source):
         where = f"{source}:{number}"
-        matrix = numbers(where, line.split(), 12, "the rows of a 3×4 matrix").reshape(3, 4)
+        matrix = files.numbers(where, line.split(), 12, "the rows of a 3×4 matrix").reshape(3, 4)
         foreign = Pose(checked_rotation(where, matrix[:, :3]), matrix[:, 3])
         poses.append(options.pose(foreign, camera="opencv", up="-y"))
     _check_any(source, poses)
@@ -72,7 +59,7 @@ def tum_text(poses: Mapping[str, Pose]) -> str:
     """A TUM trajectory in OpenCV axes with the numbers of the panoramas as time stamps, their names in comments."""
     lines = ["# timestamp tx ty tz qx qy qz qw"]
     for number, (name, pose) in enumerate(poses.items()):
-        foreign = foreign_from_pose(pose, camera="opencv", up="-y")
+        foreign = files.foreign_from_pose(pose, camera="opencv", up="-y")
         w, x, y, z = quaternion_from_rotation(foreign.rotation).tolist()
         values = [*foreign.position.tolist(), x, y, z, w]
         lines += [f"{NAME_COMMENT}{number} {name}", " ".join([str(number), *map(repr, values)])]
@@ -86,22 +73,21 @@ def _check_any(source: Path, poses: Sequence[Pose] | Mapping[float, Pose]) -> No
 
 def _named_by_time(source: Path, stamped: Mapping[float, Pose], options: ImportOptions) -> ImportedPoses:
     """Names by what the file or a ``rgb.txt`` beside it says, by file names that are time stamps, or by order."""
-    association = _associations(source)
+    association, folder = _associations(source), files.default_folder(source.parent, options)
     if association:
         note = "images: named by the time stamps that the trajectory, or rgb.txt beside it, lists"
     else:
-        stamps = {path.name: _stamp(path.stem) for path in images_in(default_folder(source.parent, options))}
+        stamps = {path.name: _stamp(path.stem) for path in files.images_in(folder)}
         association = {stamp: name for name, stamp in stamps.items() if stamp is not None}
         note = f"images: named by time stamp, within {options.time_tolerance:g} s"
     pairs = _matched(stamped, association, options.time_tolerance)
     if pairs is None:
         return _named_in_order(source, list(stamped.values()), options)
-    folders = [source.parent, default_folder(source.parent, options)]
-    views = tuple(find_view(str(source), name, stamped[stamp], folders, options) for stamp, name in pairs)
+    folders = [source.parent, folder]
+    views = tuple(files.find_view(str(source), name, stamped[stamp], folders, options) for stamp, name in pairs)
     without = len(stamped) - len(views)
-    return ImportedPoses(
-        views, _notes(options, note, f"left out: {without} poses without a panorama" if without else "")
-    )
+    left_out = f"left out: {without} poses without a panorama" if without else ""
+    return ImportedPoses(views, _notes(options, note, left_out))
 
 
 def _associations(source: Path) -> dict[float, str]:
@@ -110,7 +96,7 @@ def _associations(source: Path) -> dict[float, str]:
     pairs = [(f"{source}:{at}", line[len(NAME_COMMENT) :]) for at, line in lines if line.startswith(NAME_COMMENT)]
     table = source.parent / "rgb.txt"
     if not pairs and table.is_file() and table != source:
-        pairs = [(f"{table}:{at}", line) for at, line in data_lines(table)]
+        pairs = [(f"{table}:{at}", line) for at, line in files.data_lines(table)]
     found = {}
     for where, pair in pairs:
         first, _, name = pair.partition(" ")
@@ -145,8 +131,8 @@ def _matched(
 
 
 def _named_in_order(source: Path, poses: Sequence[Pose], options: ImportOptions) -> ImportedPoses:
-    folder = default_folder(source.parent, options)
-    paths = images_in(folder)
+    folder = files.default_folder(source.parent, options)
+    paths = files.images_in(folder)
     if len(paths) != len(poses):
         raise PoseError(
             f"{source}: expected as many panoramas as poses ({len(poses)}), got {len(paths)} in '{folder}'; "
@@ -160,7 +146,8 @@ def _notes(options: ImportOptions, *of_names: str) -> tuple[str, ...]:
     axes = "cameras: taken to have x right, y down, z forward (OpenCV); --camera-axes says otherwise"
     up = "world: y is taken to point down, as in the world of a first camera; --up says otherwise"
     distances = "distances: as the trajectory has them, taken as metres"
-    return noted({distances: True, axes: options.camera is None, up: options.up is None, **{n: n for n in of_names}})
+    told = {distances: True, axes: options.camera is None, up: options.up is None}
+    return files.noted({**told, **{n: n for n in of_names}})
 
 
 ROTATIONS, TRANSLATIONS = "rotations.npy", "translations.npy"
@@ -171,13 +158,12 @@ def read_authors(source: Path, options: ImportOptions) -> ImportedPoses:
 
     In the renderer of OmniSyn's authors a direction d of the reference view is looked up in panorama i along
     ``rotations[i] · d``, and ``translations[i]`` is the reference seen from panorama i, in the reference's axes: the
-    pose is ``rotationsᵀ`` and ``−translations``, with x right, y up, −z forward as here. Pickled arrays are refused.
-
-    Source: AugmentariumLab/omnisyn, ``data_readers/carla_reader.py`` (``calculate_rot_trans``) and
-    ``helpers/my_torch_helpers.py`` (``rotate_equirectangular_image``).
+    pose is ``rotationsᵀ`` and ``−translations``, with axes as here. Pickled arrays are refused. Source:
+    AugmentariumLab/omnisyn, ``carla_reader.py`` (``calculate_rot_trans``), ``my_torch_helpers.py``
+    (``rotate_equirectangular_image``).
     """
     folder = source if source.is_dir() else source.parent
-    rotations, translations = read_array(folder / ROTATIONS), read_array(folder / TRANSLATIONS)
+    rotations, translations = files.read_array(folder / ROTATIONS), files.read_array(folder / TRANSLATIONS)
     count = translations.size // 3
     if rotations.shape[-3:] != (count, 3, 3) or rotations.size != 9 * count or translations.shape[-2:] != (count, 3):
         raise PoseError(
@@ -191,14 +177,14 @@ def read_authors(source: Path, options: ImportOptions) -> ImportedPoses:
         )
         for index, (rotation, translation) in enumerate(pairs)
     ]
-    images, order = _images(default_folder(folder, options), count)
+    images, order = _images(files.default_folder(folder, options), count)
     views = tuple(ImportedView(path.name, poses[index], path) for index, path in images)
     return ImportedPoses(views, ("distances: metres, as in CARLA", f"images: {order}"))
 
 
 def _images(folder: Path, count: int) -> tuple[list[tuple[int, Path]], str]:
     """Index into the arrays and file of every panorama: by order, or by number where some are missing."""
-    paths = images_in(folder)
+    paths = files.images_in(folder)
     if len(paths) == count:
         return list(enumerate(paths)), "named in the natural order of their file names"
     numbered = {int(path.stem): path for path in paths if path.stem.isdecimal()}
@@ -212,8 +198,8 @@ MIN_NOTED_ROTATION = 1e-6  # Radians; smaller rotations are rounding and get no 
 
 def habitat_folders(folder: Path) -> list[Path]:
     """The folders of the single panoramas, in natural order."""
-    found = [path for path in entries(folder) if (path / "rot.txt").is_file() and (path / "tran.txt").is_file()]
-    return sorted(found, key=lambda path: natural_key(path.name))
+    found = [path for path in files.entries(folder) if (path / "rot.txt").is_file() and (path / "tran.txt").is_file()]
+    return sorted(found, key=lambda path: files.natural_key(path.name))
 
 
 def read_habitat(source: Path, options: ImportOptions) -> ImportedPoses:
@@ -226,14 +212,13 @@ def read_habitat(source: Path, options: ImportOptions) -> ImportedPoses:
         image, depth = _panorama(folder), folder / "depth.png"
         pose, name = habitat_pose(folder, options), f"{folder.name}/{image.name}"
         views.append(ImportedView(name, pose, image, depth if depth.is_file() else None))
+    are_turned = any(float(rotation_angle(view.pose.rotation)) > MIN_NOTED_ROTATION for view in views)
     notes = {
         "distances: metres": True,
         "depth: 16-bit millimetres along the ray, where there is a depth.png": True,
-        "rotations: rot.txt is read as camera-to-world, as PanSplat does": (
-            any(float(rotation_angle(view.pose.rotation)) > MIN_NOTED_ROTATION for view in views)
-        ),
+        "rotations: rot.txt is read as camera-to-world, as PanSplat does": are_turned,
     }
-    return ImportedPoses(tuple(views), noted(notes))
+    return ImportedPoses(tuple(views), files.noted(notes))
 
 
 def habitat_pose(folder: Path, options: ImportOptions | None = None) -> Pose:
@@ -244,13 +229,13 @@ def habitat_pose(folder: Path, options: ImportOptions | None = None) -> Pose:
 
 
 def _values(path: Path, count: int, what: str) -> np.ndarray:
-    fields = [field for _, line in data_lines(path) for field in line.replace(",", " ").split()]
-    return numbers(str(path), fields, count, what)
+    fields = [field for _, line in files.data_lines(path) for field in line.replace(",", " ").split()]
+    return files.numbers(str(path), fields, count, what)
 
 
 def _panorama(folder: Path) -> Path:
     """``rgb.*``, or the only image that is not a depth map."""
-    images = [path for path in images_in(folder) if not path.stem.startswith("depth")]
+    images = [path for path in files.images_in(folder) if not path.stem.startswith("depth")]
     named = [path for path in images if path.stem == "rgb"] or images
     if len(named) != 1:
         raise PoseError(f"{folder}: expected one panorama (rgb.png), got {len(named)} images; name it rgb.png")

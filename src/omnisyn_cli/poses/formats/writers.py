@@ -18,20 +18,20 @@ from omnisyn_cli.poses.formats.files import ImportedPoses, ImportedView, noted
 from omnisyn_cli.poses.formats.json_files import nerfstudio_text
 from omnisyn_cli.poses.formats.trajectories import tum_text
 
+Size = tuple[int, int]
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum", "gpano")
 
 
 def export_poses(
     poses: PoseFile, output: Path, format_name: str,
-    *, images: Path | None = None, size: tuple[int, int] | None = None, overwrite: bool = False,
+    *, images: Path | None = None, size: Size | None = None, overwrite: bool = False,
 ) -> tuple[str, ...]:  # fmt: skip
     """Write poses as a COLMAP text model (a folder), a ``transforms.json``, a TUM trajectory, or tags of JPEG copies.
 
-    The panoramas lie in the folder ``images`` (None: that of the pose file). All have ``size`` (height, width; None
-    reads it from their files). Files that exist are replaced with ``overwrite``. Notes for the user come back.
-
-    Raises PoseError: a panorama that is needed was not found or is no JPEG, or a name that the format cannot hold;
-    ImageError: a panorama that is no image; OutputPathError, WriteError: as :func:`write_imported`.
+    The panoramas lie in the folder ``images`` (None: that of the pose file). All have ``size`` (height, width; None:
+    that of their files). Notes for the user come back. PoseError: a panorama that is needed was not found or is no
+    JPEG, or a name that the format cannot hold; ImageError: no image; OutputPathError, WriteError: as
+    :func:`write_imported`.
     """
     if format_name not in EXPORT_FORMATS:
         raise ValueError(f"expected one of {', '.join(EXPORT_FORMATS)}, got {format_name!r}")
@@ -52,9 +52,7 @@ def export_poses(
     return (note,)
 
 
-def _write_colmap(
-    poses: PoseFile, output: Path, folder: Path, size: tuple[int, int] | None, overwrite: bool
-) -> tuple[str, ...]:
+def _write_colmap(poses: PoseFile, output: Path, folder: Path, size: Size | None, overwrite: bool) -> tuple[str, ...]:
     """A COLMAP text model without points."""
     outputs.check_staged_folder(output)
     for name in colmap_files({}, {}) if output.is_dir() else ():
@@ -104,7 +102,7 @@ def _gpano_tags(pose: Pose, placement: Placement, known: Set[str]) -> dict[str, 
     }  # fmt: skip
 
 
-def _sizes(poses: PoseFile, folder: Path, size: tuple[int, int] | None) -> dict[str, tuple[int, int]]:
+def _sizes(poses: PoseFile, folder: Path, size: Size | None) -> dict[str, Size]:
     """``(height, width)`` of the whole sphere of every panorama: those of its file unless the user gave one."""
     if size is not None:
         return dict.fromkeys(poses.panoramas, size)
@@ -120,15 +118,13 @@ def _sizes(poses: PoseFile, folder: Path, size: tuple[int, int] | None) -> dict[
 def write_imported(
     output: Path, imported: ImportedPoses, *, copy_images: bool = False, overwrite: bool = False
 ) -> tuple[str, ...]:
-    """Write a pose file for what was imported, and copies of the panoramas beside it if asked for.
+    """Write a pose file for what was imported, and copies of the panoramas beside it if asked for: all or nothing.
 
-    Everything appears at once or not at all. Entries are named after the image files, or called by their paths where
-    those are equal. Depth files are referred to where they lie in the folder of the pose file, or with ``copy_images``
-    copied there like the panoramas, under names that differ. The answer tells the user what was left out, or is not
-    where it will be looked for.
-
-    Raises PoseError: an image twice, or panoramas that were not found with ``copy_images``; OutputPathError: a file
-    exists, or there is no folder to write into; WriteError: the disk is full, or the folder went away.
+    Entries are named after the image files, or by their paths where names are equal. Depth files are referred to where
+    they lie in the folder of the pose file, or with ``copy_images`` copied there like the panoramas, under names that
+    differ. Notes tell what was left out, or is not where it will be looked for. PoseError: an image twice, or panoramas
+    to copy that were not found; OutputPathError: a file exists, or there is no folder to write into; WriteError: the
+    disk is full.
     """
     outputs.check_output(output, overwrite)
     missing = [view.name for view in imported.views if view.image is None]
@@ -146,15 +142,12 @@ def write_imported(
     write_poses(output, posed, is_metric=imported.is_metric)
     elsewhere = sum(view.image is not None and view.image.absolute().parent != folder for view in views.values())
     unreachable = [view.name for name, view in views.items() if view.depth is not None and name not in within]
-    return noted(
-        {
-            f"images: {listed(missing)} not found, the names are taken as they are": missing,
-            f"images: {elsewhere} are not in the folder of the pose file; give interpolate their paths": elsewhere,
-            f"depth: left out for {listed(unreachable)}, outside the folder of the pose file (--copy-images)": (
-                unreachable
-            ),
-        }
-    )
+    notes = {
+        f"images: {listed(missing)} not found, the names are taken as they are": missing,
+        f"images: {elsewhere} are not in the folder of the pose file; give interpolate their paths": elsewhere,
+        f"depth: left out for {listed(unreachable)}, outside the folder of the pose file (--copy-images)": unreachable,
+    }
+    return noted(notes)
 
 
 def _named(output: Path, views: Sequence[ImportedView], separator: str) -> dict[str, ImportedView]:

@@ -1,7 +1,4 @@
-"""Do the poses of two panoramas fit what they see, and if not, which convention hypothesis would explain it?
-
-The answer is also given in words, and as values for programs.
-"""
+"""Do the poses of two panoramas fit what they see, and if not, which hypothesis explains it: in words and as values."""
 
 import math
 from collections.abc import Iterable
@@ -14,13 +11,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.poses.registration import conventions, least_squares
 from omnisyn_cli.poses.registration.conventions import ConventionHypothesis
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import (
-    Estimate,
-    estimate_from_subset,
-    estimate_relative_pose,
-    inlier_threshold,
-    support_mask,
-)
+from omnisyn_cli.poses.registration.robust import Estimate, estimate_from_subset, estimate_relative_pose, support_mask
 
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
@@ -99,7 +90,7 @@ def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
     estimate = estimate_relative_pose(matches, known)
     if estimate is not None and known and not estimate.have_same_position:
         # Repeated things support opposite directions: if as many matches agree with the given one, it is not to blame.
-        supporting = support_mask(given_relative, matches, inlier_threshold(matches))
+        supporting = support_mask(given_relative, matches)
         is_opposite = _pose_errors(given_relative, estimate)[1] > math.radians(90.0)
         if is_opposite and supporting.sum() >= estimate.inliers.sum():
             estimate = estimate_from_subset(matches, supporting, known)
@@ -113,12 +104,12 @@ def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
 
 def _fit(first_from_second: Pose, estimate: Estimate, matches: Matches) -> Fit:
     """How well a relative pose fits, and how far it is from what was found."""
-    agreed, scale = matches.select(estimate.inliers), inlier_threshold(matches)
+    agreed = matches.select(estimate.inliers)
     return Fit(
         *_pose_errors(first_from_second, estimate),
         float(np.median(np.abs(least_squares.epipolar_residual(first_from_second, agreed)))),
-        float(np.mean(least_squares.is_in_front(first_from_second, agreed, scale))),
-        int(support_mask(first_from_second, matches, scale).sum()),
+        float(np.mean(least_squares.is_in_front(first_from_second, agreed, matches.tolerance))),
+        int(support_mask(first_from_second, matches).sum()),
     )
 
 
@@ -177,7 +168,7 @@ def _pose_errors(relative: Pose, estimate: Estimate) -> tuple[float, float]:
 def _improves(given: Pose, estimate: Estimate, matches: Matches) -> bool:
     if estimate.have_same_position or not given.position.any():
         return False
-    agreed = matches.select(estimate.inliers | support_mask(given, matches, inlier_threshold(matches)))
+    agreed = matches.select(estimate.inliers | support_mask(given, matches))
     noise = least_squares.noise_std(estimate.first_from_second, agreed)
     poses = (given, estimate.first_from_second)
     before, after = (least_squares.robust_chi_squared(pose, agreed, noise) for pose in poses)
@@ -198,16 +189,11 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
     if not (estimate.have_same_position or _has_no_direction(given)):
         measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
-    sentences.append(measured)
-    sentences.extend(_advice(diagnosis))
-    return sentences
+    return [*sentences, measured, *_advice(diagnosis)]
 
 
 def camera_height_sentence(height: float, found_baseline: float | None = None) -> str:
-    """What a height in metres above the floor says about the distances between cameras that it follows from.
-
-    ``found_baseline`` is the mean distance of neighbours that poses from the pictures were scaled to, if they were.
-    """
+    """What a height in metres says about distances, or about the mean that poses from pictures were scaled to."""
     doubt, advice = "", "are the distances in metres?"
     if found_baseline is not None:
         baseline = found_baseline * EXPECTED_CAMERA_HEIGHT / height
@@ -235,13 +221,9 @@ def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
         "direction_uncertainty_deg": None if estimate is None else _finite(estimate.uncertainty.direction),
         "given": None if given is None else _fit_values(given),
         "mistakes": [
-            {
-                "name": explanation.hypothesis.name,
-                "words": explanation.hypothesis.words,
-                "remedy": explanation.hypothesis.remedy,
-                "corrected": _fit_values(explanation.fit),
-            }
+            {"name": each.name, "words": each.words, "remedy": each.remedy, "corrected": _fit_values(explanation.fit)}
             for explanation in diagnosis.explanations
+            for each in [explanation.hypothesis]
         ],
         "refine_helps": diagnosis.is_refinable,
     }
@@ -276,14 +258,14 @@ def _advice(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.explanations:
         return []
     best, *others = diagnosis.explanations
-    sentences = [
+    return [
         f"it looks as if {best.hypothesis.words} [{best.hypothesis.name}]",
         f"undone, the rotation is off by {_degrees(best.fit.rotation)} and the direction by "
         f"{_degrees(best.fit.direction)}; median residual {_degrees(best.fit.residual)}, {best.fit.in_front:.0%} of "
         "the points in front of both cameras",
         f"to do: {best.hypothesis.remedy}",
+        *_alternatives(others),
     ]
-    return [*sentences, *_alternatives(others)]
 
 
 def _alternatives(others: list[Explanation]) -> list[str]:

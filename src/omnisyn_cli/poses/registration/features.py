@@ -27,7 +27,7 @@ from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.pose import rotation_taking
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, pixel_scale, pixel_to_direction
+from omnisyn_cli.geometry.sphere import UP, angles_to_pixel, normalize, pixel_scale, pixel_to_direction
 
 MAX_IMAGE_ROWS = 1024  # Larger panoramas are reduced to this height: features are then found within about 0.05°
 
@@ -39,6 +39,7 @@ BAND_MARGIN = math.radians(9.0)  # Radians around a band that descriptors may re
 SIFT_CONTRAST_THRESHOLD = 0.02  # OpenCV's default is 0.04; half of it still finds features in plain rooms
 LOWE_RATIO = 0.8  # The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)
 
+INLIER_THRESHOLD_PIXELS = 1.0  # Of the searched image, within which a match agrees with a pose
 # Length of descriptors of whole numbers: sums of 128 products stay below 2²⁴, exact in float32 in any order.
 DESCRIPTOR_NORM = 512.0
 # ``camera_from_band``: three turns of the axes into each other.
@@ -54,6 +55,11 @@ SQUEEZE = 2  # Factor by which the second search narrows walls: those seen at 30
 
 # Side of the bird's-eye view, and tangent of the largest angle from straight down along its sides.
 FLOOR_PIXELS, FLOOR_TANGENT = 600, math.tan(math.radians(68.0))
+
+Picture = Float[np.ndarray, "height width 3"]  # RGB in [0, 1]
+Grey = UInt8[np.ndarray, "height width"]
+Usable = Bool[np.ndarray, "rows cols"] | None
+"""Where a panorama may be used, at any size; None is everywhere."""
 
 FoundPoints = tuple[np.ndarray, ...]
 """``(n, 3)`` directions in the camera's frame, ``(n, 128)`` descriptors and ``(n,)`` responses of SIFT's points."""
@@ -84,6 +90,11 @@ class Matches:
     def __len__(self) -> int:
         return len(self.first)
 
+    @property
+    def tolerance(self) -> float:
+        """Radians within which one agrees with a pose: from its epipolar circle, or from where a turn takes it."""
+        return INLIER_THRESHOLD_PIXELS * self.pixel
+
     def __add__(self, other: "Matches") -> "Matches":
         first, second = np.concatenate([self.first, other.first]), np.concatenate([self.second, other.second])
         return Matches(first, second, max(self.pixel, other.pixel))
@@ -93,37 +104,19 @@ class Matches:
         return Matches(self.first[chosen], self.second[chosen], self.pixel)
 
 
-def find_features(
-    image: Float[np.ndarray, "height width 3"],
-    usable: Bool[np.ndarray, "height width"] | None = None,
-    threads: int | None = None,
-) -> Features:
-    """SIFT features of a panorama, the strongest :data:`MAX_FEATURES` of them.
-
-    The image is RGB in [0, 1]; ``usable`` says where features are wanted, None means everywhere. The result does not
-    depend on the number of OpenCV's ``threads``.
+def find_features(grey: Grey, usable: Usable = None, threads: int | None = None) -> Features:
+    """SIFT features of a :func:`grey_of` panorama, the strongest :data:`MAX_FEATURES`; ``threads`` change nothing.
 
     Source: Lowe, Distinctive image features from scale-invariant keypoints, 2004; descriptors as in Arandjelović and
     Zisserman, Three things everyone should know to improve object retrieval, 2012.
     """
-    return find_grey_features(grey_of(image), usable, threads)
-
-
-def find_grey_features(
-    grey: UInt8[np.ndarray, "height width"],
-    usable: Bool[np.ndarray, "rows cols"] | None = None,
-    threads: int | None = None,
-) -> Features:
-    """:func:`find_features` of a :func:`grey_of` panorama; ``usable`` may have another size."""
     with limited_threads(threads):
         found = [_band_features(grey, axis) for axis in range(3)]
     every = tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
     return strongest_features(every, usable, 1.0 / pixel_scale(grey.shape)[0], MAX_FEATURES)
 
 
-def strongest_features(
-    found: FoundPoints, usable: Bool[np.ndarray, "rows cols"] | None, pixel: float, count: int
-) -> Features:
+def strongest_features(found: FoundPoints, usable: Usable, pixel: float, count: int) -> Features:
     """At most ``count`` of SIFT's points where the panorama is usable."""
     direction, descriptor, response = found
     if usable is not None:
@@ -149,9 +142,7 @@ def match_features(first: Features, second: Features) -> Matches:
     return Matches(first.direction[chosen], second.direction[best[chosen]], pixel)
 
 
-def grey_of(
-    image: Float[np.ndarray, "height width 3"], max_rows: int = MAX_IMAGE_ROWS
-) -> UInt8[np.ndarray, "rows cols"]:
+def grey_of(image: Picture, max_rows: int = MAX_IMAGE_ROWS) -> Grey:
     """Luma of a panorama as uint8, at most so many rows high."""
     luma: np.ndarray = np.asarray(image, np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     if len(luma) > max_rows:
@@ -178,10 +169,7 @@ def band_table(size: tuple[int, int], axis: int) -> tuple[RemapTable, int, int]:
 
 
 def band_directions(size: tuple[int, int], latitude: float) -> tuple[Float[np.ndarray, "rows cols 3"], int, int]:
-    """Of pixels up to a latitude on both sides of the equator; the first row, and the columns repeated on both sides.
-
-    These are 22.5° wide, so that the seam has no features of its own.
-    """
+    """Of pixels up to a latitude; the first row; columns repeated on both sides, so that the seam has no features."""
     height, width = size
     edge, _ = angles_to_pixel(0.0, math.acos(math.sin(latitude)), size)
     top, wrap = max(math.floor(edge), 0), width // 16
@@ -189,10 +177,8 @@ def band_directions(size: tuple[int, int], latitude: float) -> tuple[Float[np.nd
     return pixel_to_direction(row.astype(float), col.astype(float), size), top, wrap
 
 
-def detect_sift(
-    image: UInt8[np.ndarray, "height width"],
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 128"], Float[np.ndarray, " n"]]:
-    """Column and row, descriptor and response of SIFT's points in a flat image."""
+def detect_sift(image: Grey) -> FoundPoints:
+    """Column and row ``(n, 2)``, descriptor and response of SIFT's points in a flat image."""
     threshold = SIFT_CONTRAST_THRESHOLD
     sift = cv2.SIFT.create(nfeatures=MAX_SIFT_POINTS, contrastThreshold=threshold, enable_precise_upscale=True)
     points, descriptor = sift.detectAndCompute(image, None)
@@ -217,17 +203,16 @@ class LevelledFeatures:
     floor: Features  # of the bird's-eye view
 
 
-def fine_grey_of(image: Float[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "rows cols"]:
-    """The picture of a panorama, RGB in [0, 1], that :func:`find_levelled_features` searches."""
+def fine_grey_of(image: Picture) -> Grey:
+    """The picture of a panorama that :func:`find_levelled_features` searches."""
     rows = min(FINE_ROWS, round(MAX_ENLARGEMENT * image.shape[0]))
     grey = grey_of(image, rows)
     return np.asarray(cv2.resize(grey, (2 * rows, rows), interpolation=cv2.INTER_CUBIC))
 
 
 def find_levelled_features(
-    grey: UInt8[np.ndarray, "height width"], up: Float[np.ndarray, " 3"],
-    usable: Bool[np.ndarray, "rows cols"] | None = None, threads: int | None = None,
-) -> LevelledFeatures:  # fmt: skip
+    grey: Grey, up: Float[np.ndarray, " 3"], usable: Usable = None, threads: int | None = None
+) -> LevelledFeatures:
     """Features of a panorama in grey whose zenith is ``up``."""
     level_from_camera = rotation_taking(up, UP)
     with limited_threads(threads):
@@ -266,5 +251,4 @@ def _floor(grey: np.ndarray, level_from_camera: np.ndarray) -> FoundPoints:
 def _floor_directions(col: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Directions of places in the bird's-eye view, of which the right is +x and the top is −z."""
     x, z = (((place + 0.5) / FLOOR_PIXELS * 2.0 - 1.0) * FLOOR_TANGENT for place in (col, row))
-    below = np.stack([x, -np.ones_like(x), z], axis=-1)
-    return np.asarray(below / np.linalg.norm(below, axis=-1, keepdims=True))
+    return np.asarray(normalize(np.stack([x, -np.ones_like(x), z], axis=-1)))

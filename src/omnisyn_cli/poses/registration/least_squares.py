@@ -151,10 +151,9 @@ def robust_chi_squared(pose: Pose, matches: Matches, noise: float) -> float:
 def uncertainty(pose: Pose, matches: Matches) -> Uncertainty:
     """How well matches that fit determine rotation and direction; infinite where they do not.
 
-    The matches of one thing err together, so whole cells of the sphere are left out in turn (a jackknife). Cells are
-    those of either panorama, whichever makes the estimate less certain.
-
-    Source: Cameron, Gelbach and Miller, Bootstrap-based improvements for inference with clustered errors, 2008.
+    The matches of one thing err together, so whole cells of the sphere are left out in turn (a jackknife), those of the
+    panorama that makes it less certain. Source: Cameron, Gelbach and Miller, Bootstrap-based improvements for inference
+    with clustered errors, 2008.
     """
     jacobian, residual = _jacobian(pose, matches), epipolar_residual(pose, matches)
     variances = [
@@ -179,7 +178,7 @@ def _jackknife_variances(jacobian: np.ndarray, residual: np.ndarray, cell: np.nd
 
 
 def _tangent(direction: np.ndarray) -> np.ndarray:
-    """Two unit vectors orthogonal to ``direction`` and to each other, as columns.
+    """Two orthogonal unit vectors across a direction, as columns.
 
     Source: Duff et al., Building an orthonormal basis, revisited, JCGT 2017.
     """

@@ -31,35 +31,27 @@ def essential_candidates(
     """All essential matrices of all samples, in one list, each of Frobenius norm 1.
 
     ``first`` and ``second`` are unit vectors with ``first · E · second = 0``. E lies in the four-dimensional null space
-    of five linear equations, ``E = xX + yY + zZ + W``; the ten cubic equations ``det E = 0`` and
-    ``2EEᵀE − tr(EEᵀ)E = 0`` leave up to ten solutions, which are eigenvectors of a 10×10 matrix. Planes, on which
-    eight-point methods break down, are no special case.
-
-    Source: Stewénius, Engels, Nistér, Recent developments on direct relative orientation, ISPRS 2006.
+    of five linear equations, ``E = xX + yY + zZ + W``; ten cubic ones, ``det E = 0`` and ``2EEᵀE − tr(EEᵀ)E = 0``,
+    leave up to ten solutions, eigenvectors of a 10×10 matrix. Planes are no special case. Source: Stewénius, Engels,
+    Nistér, Recent developments on direct relative orientation, ISPRS 2006.
     """
     equations = np.einsum("bni,bnj->bnij", first, second).reshape(-1, 5, 9)
     null_space = np.linalg.svd(equations)[2][:, 5:].reshape(-1, 4, 3, 3)
     coefficients = _cubic_equations(null_space)
     leading, rest = coefficients[..., :10], coefficients[..., 10:]
-    is_solvable = np.abs(np.linalg.det(leading)) > MIN_RELATIVE_DETERMINANT * np.prod(
-        np.linalg.norm(leading, axis=-1), axis=-1
-    )
+    scale = np.prod(np.linalg.norm(leading, axis=-1), axis=-1)
+    is_solvable = np.abs(np.linalg.det(leading)) > MIN_RELATIVE_DETERMINANT * scale
     null_space, eliminated = null_space[is_solvable], np.linalg.solve(leading[is_solvable], rest[is_solvable])
     roots, vectors = np.linalg.eig(_action_matrix(eliminated))
-    is_real = (np.abs(roots.imag) <= MAX_IMAGINARY_PART * np.abs(roots)) & (
-        np.abs(vectors[:, 9]) > MIN_RELATIVE_DETERMINANT
-    )
-    sample, which = np.nonzero(is_real)
+    is_real = np.abs(roots.imag) <= MAX_IMAGINARY_PART * np.abs(roots)
+    sample, which = np.nonzero(is_real & (np.abs(vectors[:, 9]) > MIN_RELATIVE_DETERMINANT))
     weights = (vectors[sample, 6:, which] / vectors[sample, 9, which][:, None]).real
     essential = np.einsum("nk,nkij->nij", weights, null_space[sample])
     return np.asarray(essential / np.linalg.norm(essential, axis=(1, 2), keepdims=True))
 
 
 def poses_of_essential(essential: Float[np.ndarray, "3 3"]) -> list[Pose]:
-    """The four relative poses with that essential matrix (up to its sign); translations have length 1.
-
-    Source: Hartley and Zisserman, section 9.6.2.
-    """
+    """The four relative poses of ±E, with positions of length 1. Source: Hartley and Zisserman, section 9.6.2."""
     u, _, vt = np.linalg.svd(essential)
     u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
     quarter_turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -72,9 +64,8 @@ def _cubic_equations(null_space: np.ndarray) -> np.ndarray:
     e = np.einsum("pk,bkij->bpij", weights, null_space)
     square = e @ np.swapaxes(e, -1, -2)
     trace = np.trace(square, axis1=-2, axis2=-1)[..., None, None]
-    values = np.concatenate(
-        [np.linalg.det(e)[..., None], (2.0 * square @ e - trace * e).reshape(*e.shape[:2], 9)], axis=-1
-    )
+    traces = (2.0 * square @ e - trace * e).reshape(*e.shape[:2], 9)
+    values = np.concatenate([np.linalg.det(e)[..., None], traces], axis=-1)
     return np.asarray(np.einsum("mp,bpq->bqm", COEFFICIENTS_FROM_VALUES, values))
 
 
@@ -98,13 +89,11 @@ def upright_essential_candidates(
 ) -> Float[np.ndarray, "found 3 3"]:
     """All essential matrices of samples of matches between upright cameras, each of Frobenius norm 1.
 
-    Of each sample ``first`` and ``second`` hold three unit vectors as rows, in frames whose y axis is up; or two if
-    both cameras are at one height. At the right turn the epipolar planes share a line, the baseline: the determinant
-    of their normals vanishes. A level baseline lies in the horizontal plane as well. The determinant is a
-    trigonometric polynomial of the turn of degree 2 (of two matches 1), so there are up to four solutions (two).
-
-    Source: Fraundorfer, Tanskanen, Pollefeys, A minimal case solution to the calibrated relative pose problem for the
-    case of two known orientation angles, ECCV 2010.
+    Of each sample ``first`` and ``second`` hold three unit vectors as rows, y up; or two if both cameras are at one
+    height. At the right turn the epipolar planes share a line, the baseline: the determinant of their normals vanishes.
+    A level baseline lies in the horizontal plane too. The determinant is a trigonometric polynomial of the turn of
+    degree 2 (of two matches 1), so there are up to four solutions (two). Source: Fraundorfer, Tanskanen, Pollefeys, A
+    minimal case solution to the calibrated relative pose problem for the case of two known orientation angles, 2010.
     """
     values = np.linalg.det(_plane_normals(first[:, None], second[:, None], _turns_about_up(TURNS)))
     degree = first.shape[1] - 1

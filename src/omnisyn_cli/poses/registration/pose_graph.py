@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_angle
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import Estimate, inlier_threshold, support_mask
+from omnisyn_cli.poses.registration.robust import Estimate, support_mask
 
 # Pixels of parallax of a point from which on its distance is used: it is known within about a tenth then.
 MIN_PARALLAX_PIXELS = 6.0
@@ -44,6 +44,9 @@ MIN_OTHER_MATCHES = 15
 
 Ratios = Mapping[tuple[int, int, int, int], tuple[float, int]]
 """Logarithm of the length of one pair over that of another, and how many points tell it, by their panoramas."""
+
+Given = Mapping[tuple[int, int], float]
+"""Distances that a user gave, by pairs of panoramas."""
 
 
 @dataclass(frozen=True)
@@ -95,12 +98,9 @@ def is_worthwhile(pair: tuple[int, int], edges: Sequence[Edge], count: int) -> b
 
 
 def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int, Float[np.ndarray, "3 3"]]:
-    """World-from-camera rotations; the first placed panorama has the identity.
+    """World-from-camera rotations, the identity first: along the strongest pairs, then the mean of all neighbours.
 
-    They start along the strongest pairs and then move to the mean of what all neighbours say. Pairs that contradict the
-    others lose their weight.
-
-    Source: Hartley et al., Rotation averaging, IJCV 2013 (chordal mean).
+    Pairs that contradict the others lose their weight. Source: Hartley et al., Rotation averaging, 2013 (chordal mean).
     """
     rotations = {placed[0]: np.eye(3)}
     edges = [edge for edge in edges if edge.first in placed]
@@ -113,9 +113,7 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
         for panorama in placed[1:]:
             own = [edge for edge in edges if panorama in (edge.first, edge.second)]
             others = [edge.second if edge.first == panorama else edge.first for edge in own]
-            said = np.stack(
-                [rotations[other] @ edge.seen_from(other)[0].rotation for edge, other in zip(own, others, strict=True)]
-            )
+            said = np.stack([rotations[k] @ e.seen_from(k)[0].rotation for e, k in zip(own, others, strict=True)])
             off = rotation_angle(np.swapaxes(said, 1, 2) @ rotations[panorama])
             weight = np.array([edge.weight for edge in own]) / (1.0 + (off / CONTRADICTION_ANGLE) ** 2) ** 2
             rotations[panorama] = nearest_rotation(np.einsum("n,nij->ij", weight, said))
@@ -124,14 +122,10 @@ def average_rotations(edges: Sequence[Edge], placed: Sequence[int]) -> dict[int,
 
 def consistent_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray]) -> list[Edge]:
     """Those between panoramas with averaged rotations that agree with them: a room may look alike from two sides."""
-    return [
-        edge
-        for edge in edges
-        if edge.first in rotations
-        and rotation_angle(
-            rotations[edge.first].T @ rotations[edge.second] @ edge.estimate.first_from_second.rotation.T
-        ) < max(CONTRADICTION_ANGLE, 3.0 * edge.estimate.uncertainty.rotation)
-    ]  # fmt: skip
+    known = [edge for edge in edges if edge.first in rotations]
+    off = [rotations[e.first].T @ rotations[e.second] @ e.estimate.first_from_second.rotation.T for e in known]
+    limits = [max(CONTRADICTION_ANGLE, 3.0 * edge.estimate.uncertainty.rotation) for edge in known]
+    return [edge for edge, turn, limit in zip(known, off, limits, strict=True) if rotation_angle(turn) < limit]
 
 
 def agreeing_edges(edges: Sequence[Edge], rotations: Mapping[int, np.ndarray], *, is_ordered: bool) -> list[Edge]:
@@ -168,7 +162,7 @@ def _support_of_others(edge: Edge, implied: Pose) -> int:
     if edge.others is None or length == 0.0:
         return 0
     pose = Pose(implied.rotation, implied.position / length)
-    count = int(support_mask(pose, edge.others, inlier_threshold(edge.others)).sum())
+    count = int(support_mask(pose, edge.others).sum())
     return count if count >= MIN_OTHER_MATCHES else 0
 
 
@@ -200,12 +194,11 @@ def length_ratios(edges: Sequence[Edge]) -> Ratios:
 
 
 def baseline_lengths(
-    edges: Sequence[Edge], given: Mapping[tuple[int, int], float], ratios: Ratios | None = None
+    edges: Sequence[Edge], given: Given, ratios: Ratios | None = None
 ) -> tuple[Float[np.ndarray, " edges"], Int[np.ndarray, " edges"]]:
     """The length of every pair's baseline, 0 where both stand in one place, and the scale that it is told in.
 
-    Logarithms of the lengths by least squares over all ratios, those that are ``given``, and 1. Pairs that no ratio
-    connects have scales of their own, numbered by the first pair.
+    Logarithms by least squares over all ratios, ``given`` ones, and 1. Scales are numbered by their first pair.
     """
     ratios = length_ratios(edges) if ratios is None else ratios
     has_length = [not edge.estimate.have_same_position for edge in edges]
@@ -254,10 +247,7 @@ def positions_of(
 
 
 def shortest_path(positions: Mapping[int, np.ndarray], edges: Sequence[Edge]) -> list[int]:
-    """All panoramas in an order for walking: a short way that prefers pairs whose pictures match.
-
-    The nearest one next, from the best start, and then stretches are turned round as long as that shortens the way.
-    """
+    """All panoramas in a short order that prefers matching pairs: the nearest next, from the best start; two-opt."""
     names = sorted(positions)
     places = np.stack([positions[name] for name in names])
     distance = np.linalg.norm(places[:, None] - places[None], axis=2)

@@ -17,23 +17,9 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation, rotation_taking
 from omnisyn_cli.geometry.sphere import FORWARD, UP
+from omnisyn_cli.poses.registration import least_squares, minimal_solvers
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.least_squares import (
-    Uncertainty,
-    angle_between,
-    direction_error,
-    epipolar_residual,
-    is_in_front,
-    refine_pose,
-    rotation_error,
-    sphere_cells,
-    uncertainty,
-)
-from omnisyn_cli.poses.registration.minimal_solvers import (
-    essential_candidates,
-    poses_of_essential,
-    upright_essential_candidates,
-)
+from omnisyn_cli.poses.registration.least_squares import Uncertainty, angle_between, epipolar_residual, refine_pose
 
 MIN_MATCHES = 8  # Five determine a pose; three more have to agree with it
 
@@ -71,9 +57,6 @@ CROWDED_ANGLE = math.radians(10.0)
 MIN_TURN_INLIERS = 12  # Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does
 FORWARD_POSE = Pose(np.eye(3), FORWARD)
 MIN_INLIER_SHARE = 0.08  # Share of all matches that have to agree with a pose at least
-
-# Pixels (of the searched image) from its epipolar circle within which a match is an inlier.
-INLIER_THRESHOLD_PIXELS = 1.0
 SAMPLES_PER_BATCH, MAX_BATCHES = 300, 12  # Samples that are drawn at once, and how many times at most
 
 # Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree.
@@ -124,29 +107,27 @@ def estimate_relative_pose(
 ) -> Estimate | None:
     """The relative pose that most matches agree with, or None if so many might agree by chance.
 
-    ``known`` are relative poses with a position of length 1 that compete with what is found. ``verticals`` guide the
-    search and make a pose that agrees with them more credible; no pose has to.
-
-    Source: Fischler and Bolles, Random sample consensus, 1981; Torr and Zisserman, MLESAC, 2000 (truncated squares).
+    ``known`` are poses with a position of length 1 that compete with what is found. ``verticals`` guide the search and
+    make a pose that agrees with them more credible. Source: Fischler and Bolles, Random sample consensus, 1981; Torr
+    and Zisserman, MLESAC, 2000 (truncated squares).
     """
     if len(matches) < MIN_MATCHES:
         return None
-    scale = inlier_threshold(matches)
-    poses = _likely_poses(matches, known, scale, verticals)
+    poses = _likely_poses(matches, known, verticals)
     needed = MIN_INLIER_SHARE * len(matches)
-    supported = (each for each in poses if support_mask(each, matches, scale).sum() >= needed)
+    supported = (each for each in poses if support_mask(each, matches).sum() >= needed)
     pose = next((each for each in supported if not _is_planar(each, matches, verticals)), poses[0])
-    inliers = support_mask(pose, matches, scale)
-    rotation = best_rotation(matches, scale)
+    inliers = support_mask(pose, matches)
+    rotation = best_rotation(matches)
     turned = rotation_residual(rotation, matches)
-    count, in_place = int(inliers.sum()), int((turned < scale).sum())
+    count, in_place = int(inliers.sum()), int((turned < matches.tolerance).sum())
     is_turn = in_place >= max(MIN_TURN_INLIERS, needed)
     if count < needed or log_false_alarms(pose, matches, verticals) > MAX_LOG_FALSE_ALARMS:
-        return _in_place(matches, rotation, turned, scale) if is_turn else None
+        return _in_place(matches, rotation, turned) if is_turn else None
     agreed = matches.select(inliers)
-    spread = uncertainty(pose, agreed)
+    spread = least_squares.uncertainty(pose, agreed)
     if in_place >= MIN_ROTATION_ONLY_SHARE * count or spread.direction > MAX_DIRECTION_STD:
-        return _in_place(matches, rotation, turned, scale) if is_turn else None
+        return _in_place(matches, rotation, turned) if is_turn else None
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
     rival, is_planar = _rival(pose, poses, matches, verticals), _is_planar(pose, matches, verticals)
     return Estimate(pose, inliers, residual, spread, have_same_position=False, rival=rival, is_planar=is_planar)
@@ -157,10 +138,9 @@ def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Vert
 
     Tiles and rows of windows are matched to their neighbours, so that a shift of the camera by one of them fits too.
     """
-    scale = inlier_threshold(matches)
     for other in others:
-        if max(rotation_error(other, pose), direction_error(other, pose)) > RIVAL_ANGLE:
-            supporting = [support_mask(each, matches, scale) for each in (pose, other)]
+        if max(least_squares.rotation_error(other, pose), least_squares.direction_error(other, pose)) > RIVAL_ANGLE:
+            supporting = [support_mask(each, matches) for each in (pose, other)]
             own, its = (matches.select(~mask) for mask in supporting[::-1])
             limit = min(MAX_LOG_FALSE_ALARMS, RIVAL_SHARE * log_false_alarms(pose, own, verticals))
             if min(len(own), len(its)) > 0 and log_false_alarms(other, its, verticals) < limit:
@@ -171,13 +151,12 @@ def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Vert
 def _is_planar(pose: Pose, matches: Matches, verticals: Verticals | None) -> bool:
     """Whether one plane is all that supports a pose: a floor or wall with a pattern that other places have as well.
 
-    Even without a pattern a plane leaves two poses (Longuet-Higgins, The reconstruction of a plane surface from two
-    perspective projections, 1986).
+    It leaves two poses: Longuet-Higgins, The reconstruction of a plane surface from two perspective projections, 1986.
     """
-    scale = inlier_threshold(matches)
+    scale = matches.tolerance
     turned = matches.second @ pose.rotation.T
     parallax = np.linalg.norm(np.cross(matches.first, turned), axis=1)
-    is_near = support_mask(pose, matches, scale) & (parallax > PLANE_WIDTHS[-1] * scale)
+    is_near = support_mask(pose, matches) & (parallax > PLANE_WIDTHS[-1] * scale)
     weight = is_near.astype(float)
     rows = np.linalg.norm(np.cross(pose.position, turned), axis=1)[:, None] * matches.first
     for width in PLANE_WIDTHS * scale:
@@ -203,19 +182,14 @@ def estimate_from_subset(
     return replace(estimate, inliers=inliers)
 
 
-def inlier_threshold(matches: Matches) -> float:
-    """Radians within which a match agrees with a pose."""
-    return INLIER_THRESHOLD_PIXELS * matches.pixel
-
-
-def support_mask(first_from_second: Pose, matches: Matches, scale: float) -> Bool[np.ndarray, " n"]:
+def support_mask(first_from_second: Pose, matches: Matches) -> Bool[np.ndarray, " n"]:
     """Matches near their epipolar circles with a point in front of both cameras."""
-    is_near = np.abs(epipolar_residual(first_from_second, matches)) < scale
-    return np.asarray(is_near & is_in_front(first_from_second, matches, scale))
+    is_near = np.abs(epipolar_residual(first_from_second, matches)) < matches.tolerance
+    return np.asarray(is_near & least_squares.is_in_front(first_from_second, matches, matches.tolerance))
 
 
-def _in_place(matches: Matches, rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimate:
-    inliers = turned < scale
+def _in_place(matches: Matches, rotation: np.ndarray, turned: np.ndarray) -> Estimate:
+    inliers = turned < matches.tolerance
     residual = float(np.median(turned[inliers]))
     spread = Uncertainty(2.0 * residual / np.sqrt(_count_distinct(matches.select(inliers))), np.inf)
     return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, have_same_position=True)
@@ -224,21 +198,19 @@ def _in_place(matches: Matches, rotation: np.ndarray, turned: np.ndarray, scale:
 def log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None) -> float:
     """Decimal logarithm of the expected number of poses that as many of unrelated matches would agree with.
 
-    Of matches within :data:`DISTINCT_ANGLE` of each other one counts. A wrong match agrees as often as directions
-    that are paired at random: more often where all features lie near the horizon and the baseline too.
-
-    Source: Moisan and Stival, A probabilistic criterion to detect rigid point matches between two images and estimate
-    the fundamental matrix, IJCV 2004.
+    Of matches within :data:`DISTINCT_ANGLE` of each other one counts. A wrong match agrees as often as directions that
+    are paired at random: more often where features and baseline lie near the horizon. Source: Moisan and Stival, A
+    probabilistic criterion to detect rigid point matches between two images and estimate the fundamental matrix, 2004.
     """
-    scale, (sample, solutions) = inlier_threshold(matches), _motion_kind(pose, verticals)
-    residual = np.where(support_mask(pose, matches, scale), np.abs(epipolar_residual(pose, matches)), math.inf)
+    sample, solutions = _motion_kind(pose, verticals)
+    residual = np.where(support_mask(pose, matches), np.abs(epipolar_residual(pose, matches)), math.inf)
     some = matches.select(np.arange(0, len(matches), max(1, len(matches) // CHANCE_SAMPLES)))
     first, second = np.nonzero(~np.eye(len(some), dtype=bool))
     unrelated = Matches(some.first[first], some.second[second], matches.pixel)
-    chance = max(float(support_mask(pose, unrelated, scale).mean()), MIN_CHANCE)
+    chance = max(float(support_mask(pose, unrelated).mean()), MIN_CHANCE)
     count, logs = _count_distinct(matches), [math.inf]
     for share in SPREADS:
-        agreed = _count_distinct(matches.select(residual < share * scale))
+        agreed = _count_distinct(matches.select(residual < share * matches.tolerance))
         if agreed > sample:
             choices = _log_binomial(count, agreed) + _log_binomial(agreed, sample)
             logs.append(choices + (agreed - sample) * math.log10(share * chance))
@@ -256,55 +228,52 @@ def _motion_kind(pose: Pose, verticals: Verticals | None) -> tuple[int, int]:
 
 def _count_distinct(matches: Matches) -> int:
     """Matches that are no repetition of others in either panorama."""
-    return min(len(sphere_cells(each, DISTINCT_ANGLE)[1]) for each in (matches.first, matches.second))
+    return min(len(least_squares.sphere_cells(each, DISTINCT_ANGLE)[1]) for each in (matches.first, matches.second))
 
 
 def _log_binomial(n: int, k: int) -> float:
     return (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)) / math.log(10.0)
 
 
-def _likely_poses(matches: Matches, known: Sequence[Pose], scale: float, verticals: Verticals | None) -> list[Pose]:
+def _likely_poses(matches: Matches, known: Sequence[Pose], verticals: Verticals | None) -> list[Pose]:
     """The pose that is least likely by chance, and others that may be none.
 
-    Floors of equal tiles mislead where all matches weigh the same, so samples are drawn with less weight for crowds.
-    But all that a corridor shows is crowded around its two ends: if the first pose is not clear, others are looked for
-    without weights.
+    Floors of equal tiles mislead where all matches weigh the same, so crowds weigh less. But all that a corridor shows
+    is crowded around its two ends: if the first pose is not clear, others are looked for without weights.
     """
     poses: list[tuple[float, Pose]] = []
     for weight in (_crowd_weight(matches), np.ones(len(matches))):
-        found = _candidates(matches, () if poses else known, weight, scale, verticals)
+        found = _candidates(matches, () if poses else known, weight, verticals)
         poses += [(log_false_alarms(pose, matches, verticals), pose) for pose in found]
         poses.sort(key=itemgetter(0))
         if poses and poses[0][0] <= CLEAR_LOG_FALSE_ALARMS:
             break
     # one picture twice: all samples are degenerate
     likely = [pose for logs, pose in poses[1:] if logs <= MAX_LOG_FALSE_ALARMS]
-    return [poses[0][1] if poses else refine_pose(FORWARD_POSE, matches, scale), *likely]
+    return [poses[0][1] if poses else refine_pose(FORWARD_POSE, matches, matches.tolerance), *likely]
 
 
-def _candidates(
-    matches: Matches, known: Sequence[Pose], weight: np.ndarray, scale: float, verticals: Verticals | None
-) -> list[Pose]:
+def _candidates(matches: Matches, known: Sequence[Pose], weight: np.ndarray, verticals: Verticals | None) -> list[Pose]:
     """Refined poses: known ones, then those of samples that the verticals leave, then those of any samples."""
-    starts = list(known)
+    starts, scale, wide = list(known), matches.tolerance, UPRIGHT_SCALE * matches.tolerance
     if verticals is not None:
         level = [rotation_taking(vertical, UP) for vertical in (verticals.first, verticals.second)]
         upright = Matches(matches.first @ level[0].T, matches.second @ level[1].T, matches.pixel)
         for size in (2, 3):
-            found = _hypotheses(upright, weight, UPRIGHT_SCALE * scale, upright_essential_candidates, size)
-            starts += _in_front(level[0].T @ found @ level[1], matches, weight, UPRIGHT_SCALE * scale)
+            found = _hypotheses(upright, weight, wide, minimal_solvers.upright_essential_candidates, size)
+            starts += _in_front(level[0].T @ found @ level[1], matches, weight, wide)
     refined = [refine_pose(start, matches, scale) for start in starts]
     costs = [_pose_cost(pose, matches, weight, scale) for pose in refined]
     share = 1.0 - min(costs, default=np.inf) / len(matches)
     if share < CLEAR_SHARE:
-        found = _hypotheses(matches, weight, scale, essential_candidates, 5, share)
+        found = _hypotheses(matches, weight, scale, minimal_solvers.essential_candidates, 5, share)
         refined += [refine_pose(start, matches, scale) for start in _in_front(found, matches, weight, scale)]
     return refined
 
 
 def _in_front(essentials: np.ndarray, matches: Matches, weight: np.ndarray, scale: float) -> list[Pose]:
     """Of the four poses of each essential matrix the one with most points in front of both cameras."""
-    hypotheses = (poses_of_essential(essential) for essential in essentials)
+    hypotheses = (minimal_solvers.poses_of_essential(essential) for essential in essentials)
     return [min(poses, key=lambda pose: _pose_cost(pose, matches, weight, scale)) for poses in hypotheses]
 
 
@@ -339,7 +308,7 @@ def _crowd_weight(matches: Matches) -> Float[np.ndarray, " n"]:
     """Weights that sum to the number of matches, smaller where many lie together in either panorama."""
     crowd = np.ones(len(matches))
     for directions in (matches.first, matches.second):
-        cell, count = sphere_cells(directions, CROWDED_ANGLE)
+        cell, count = least_squares.sphere_cells(directions, CROWDED_ANGLE)
         crowd = np.maximum(crowd, count[cell])
     weight = 1.0 / crowd
     return np.asarray(weight * (len(matches) / weight.sum()))
@@ -361,11 +330,12 @@ def _costs(essential: np.ndarray, products: tuple[np.ndarray, ...], weight: np.n
 
 def _pose_cost(pose: Pose, matches: Matches, weight: np.ndarray, scale: float) -> float:
     squared = np.minimum((epipolar_residual(pose, matches) / scale) ** 2, 1.0)
-    return float((weight * np.where(is_in_front(pose, matches, scale), squared, 1.0)).sum())
+    return float((weight * np.where(least_squares.is_in_front(pose, matches, scale), squared, 1.0)).sum())
 
 
-def best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:
+def best_rotation(matches: Matches) -> Float[np.ndarray, "3 3"]:
     """The rotation that takes most second directions to first ones, by samples of two matches."""
+    scale = matches.tolerance
     sample = np.random.default_rng(1).integers(len(matches), size=(SAMPLES_PER_BATCH, 2))
     frames = [_frames(directions[sample]) for directions in (matches.first, matches.second)]
     candidates = np.concatenate([nearest_rotation(frames[0] @ np.swapaxes(frames[1], 1, 2)), np.eye(3)[None]])

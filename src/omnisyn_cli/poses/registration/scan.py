@@ -10,35 +10,17 @@ from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import UP, normalize
-from omnisyn_cli.poses.registration.features import (
-    Features,
-    LevelledFeatures,
-    Matches,
-    band_table,
-    find_grey_features,
-    find_levelled_features,
-    fine_grey_of,
-    grey_of,
-    match_features,
-    match_levelled_features,
-)
+from omnisyn_cli.poses.registration import features, robust
+from omnisyn_cli.poses.registration.features import Features, Grey, LevelledFeatures, Matches, Picture, Usable
 from omnisyn_cli.poses.registration.least_squares import refine_pose
-from omnisyn_cli.poses.registration.robust import (
-    Estimate,
-    Verticals,
-    estimate_from_subset,
-    estimate_relative_pose,
-    inlier_threshold,
-    log_false_alarms,
-    support_mask,
-)
+from omnisyn_cli.poses.registration.robust import Estimate, Verticals
 from omnisyn_cli.stereo.dense_agreement import dense_agreement
 from omnisyn_cli.types import View
 
@@ -82,11 +64,8 @@ class Vertical:
     is_certain: bool  # enough lines agree, and no other direction has nearly as many
 
 
-def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray, "rows cols"] | None = None) -> Lines:
-    """Line segments of a panorama whose middles lie where it is usable; None is everywhere.
-
-    Source: Grompone von Gioi et al., LSD: a fast line segment detector with a false detection control, PAMI 2010.
-    """
+def find_lines(grey: Grey, usable: Usable = None) -> Lines:
+    """Line segments whose middles are usable. Source: Grompone von Gioi et al., LSD, PAMI 2010."""
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
     found, middles = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for face, rotation in enumerate(CAMERA_FROM_FACE):
@@ -95,8 +74,7 @@ def find_lines(grey: UInt8[np.ndarray, "height width"], usable: Bool[np.ndarray,
         segments = detector.detect(table.bilinear(grey))[0]
         if segments is not None:
             ends = ((segments.reshape(-1, 2, 2) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
-            directions = np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1)
-            directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+            directions = normalize(np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1))
             found.append(np.cross(directions[:, 0], directions[:, 1]) @ rotation.T)
             middles.append(normalize(directions.sum(axis=1)) @ rotation.T)
     sines = np.concatenate(found)
@@ -113,16 +91,12 @@ def face_table(size: tuple[int, int], face: int) -> RemapTable:
     side = round(FACE_SHARE * size[0])
     across = ((np.arange(side) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
     x, y = np.meshgrid(across, -across)
-    plane = np.stack([x, y, -np.ones_like(x)], axis=-1)
-    plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
+    plane = normalize(np.stack([x, y, -np.ones_like(x)], axis=-1))
     return RemapTable.for_directions(plane @ CAMERA_FROM_FACE[face].T, size)
 
 
 def find_vertical(lines: Lines, near: Float[np.ndarray, " 3"] = UP) -> Vertical:
-    """The direction within :data:`MAX_TILT` of ``near`` that most line segments point at, by their lengths.
-
-    ``near`` itself, and not certain, where there are too few.
-    """
+    """The direction within :data:`MAX_TILT` of ``near`` that most segments point at; else ``near``, uncertain."""
     length = np.linalg.norm(lines, axis=1)
     longest = np.argsort(-length, kind="stable")
     chosen = longest[np.abs(lines[longest] @ near) < math.sin(MAX_TILT) * length[longest]][:MAX_LINES]
@@ -172,7 +146,7 @@ MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 MAX_RIVAL_LOG_FALSE_ALARMS = -40.0
 # Directions to the other side that two matches each propose, and how many of the best are counted exactly.
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
-LIKENESS_FEATURES = 600  # Of each panorama, for :func:`likeness`: a hundredth of the time that all of them take
+LIKENESS_FEATURES = 600  # Of each panorama, for :meth:`Scan.likeness`: a hundredth of the time that all of them take
 SMALL_SIZE = (256, 512)  # Of the picture in colour that floors are looked for in
 
 # Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they do
@@ -186,9 +160,9 @@ POLAR_SHARE = 0.1
 class Scan:
     """One panorama as registration sees it."""
 
-    fine_grey: UInt8[np.ndarray, "height width"]  # luma for :attr:`levelled`
+    fine_grey: Grey  # luma for :attr:`levelled`
     small: Float[np.ndarray, "rows cols 3"]  # the picture in colour at :data:`SMALL_SIZE`
-    usable: Bool[np.ndarray, "all_rows all_cols"] | None  # where it may be used; None is everywhere
+    usable: Usable
     features: Features  # the strongest features
     lines: Lines  # straight lines
     threads: int | None = None  # at most this many in OpenCV
@@ -219,47 +193,41 @@ class Scan:
         """Its vertical; that of a level camera where lines do not tell it for certain."""
         return self.vertical.up if self.vertical.is_certain else UP
 
+    def likeness(self, other: "Scan") -> int:
+        """How many of the strongest features match: quickly found, and enough to rank pairs by."""
+        return len(features.match_features(*(each.features.strongest(LIKENESS_FEATURES) for each in (self, other))))
+
     @cached_property
     def levelled(self) -> LevelledFeatures:
         """Features of walls and floor; found when they are first asked for."""
-        return find_levelled_features(self.fine_grey, self.vertical.up, self.usable, self.threads)
+        return features.find_levelled_features(self.fine_grey, self.vertical.up, self.usable, self.threads)
 
 
-def scan_panorama(
-    image: Float[np.ndarray, "height width 3"],
-    usable: Bool[np.ndarray, "height width"] | None = None,
-    threads: int | None = None,
-) -> Scan:
-    """Look for features and lines in a panorama, RGB in [0, 1]."""
-    grey, small = grey_of(image), resize_area(image, SMALL_SIZE)
-    return Scan(
-        fine_grey_of(image), small, usable, find_grey_features(grey, usable, threads), find_lines(grey, usable), threads
-    )
+def scan_panorama(image: Picture, usable: Usable = None, threads: int | None = None) -> Scan:
+    """Look for features and lines in a panorama."""
+    grey, small = features.grey_of(image), resize_area(image, SMALL_SIZE)
+    found, lines = features.find_features(grey, usable, threads), find_lines(grey, usable)
+    return Scan(features.fine_grey_of(image), small, usable, found, lines, threads)
 
 
 def forget_tables() -> None:
     """Free what scanning keeps for further panoramas of the same size."""
-    band_table.cache_clear()
+    features.band_table.cache_clear()
     face_table.cache_clear()
-
-
-def likeness(first: Scan, second: Scan) -> int:
-    """How many of the strongest features match: quickly found, and enough to rank pairs by."""
-    return len(match_features(*(scan.features.strongest(LIKENESS_FEATURES) for scan in (first, second))))
 
 
 def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
     """The relative pose of two panoramas, and its matches: also of walls and floors where few others agree."""
     verticals = Verticals(first.zenith, second.zenith, first.vertical.is_certain and second.vertical.is_certain)
-    matches = match_features(first.features, second.features)
-    estimate = estimate_relative_pose(matches, verticals=verticals) if len(matches) >= ENOUGH_INLIERS else None
+    matches = features.match_features(first.features, second.features)
+    estimate = robust.estimate_relative_pose(matches, verticals=verticals) if len(matches) >= ENOUGH_INLIERS else None
     least = max(ENOUGH_INLIERS, ENOUGH_SHARE * len(matches))
     is_enough = estimate is not None and not estimate.is_planar and estimate.inliers.sum() >= least
     if is_enough:
         return _with_right_direction(first, second, estimate, matches, verticals), matches
     known = [] if estimate is None or estimate.have_same_position else [estimate.first_from_second]
-    matches += match_levelled_features(first.levelled, second.levelled)
-    estimate = estimate_relative_pose(matches, known, verticals)
+    matches += features.match_levelled_features(first.levelled, second.levelled)
+    estimate = robust.estimate_relative_pose(matches, known, verticals)
     return _with_right_direction(first, second, estimate, matches, verticals), matches
 
 
@@ -268,8 +236,7 @@ def _with_right_direction(
 ) -> Estimate | None:
     """The estimate; that of its rival where the pictures agree better with it, or None without one.
 
-    Repeated things can be matched to their neighbours, which are displaced the other way. A rival that the pictures
-    agree with about as well stays the rival.
+    Repeated things match their neighbours, which are displaced the other way. A rival that fits as well stays one.
     """
     if estimate is None or estimate.have_same_position:
         return estimate
@@ -282,7 +249,7 @@ def _with_right_direction(
         return replace(estimate, rival=None)
     if agreement[1] < MIN_AGREEMENT_RATIO * agreement[0]:
         return estimate
-    other = estimate_from_subset(matches, ~estimate.inliers, [rival], verticals)
+    other = robust.estimate_from_subset(matches, ~estimate.inliers, [rival], verticals)
     return None if other is None or other.have_same_position else other
 
 
@@ -294,13 +261,13 @@ def _opposite_rival(
     rival, support = _best_rival(pose, others)
     if support < MIN_RIVAL_SHARE * int(inliers.sum()):
         return None
-    rival = refine_pose(rival, others, inlier_threshold(others))
-    return rival if log_false_alarms(rival, matches, verticals) <= MAX_RIVAL_LOG_FALSE_ALARMS else None
+    rival = refine_pose(rival, others, others.tolerance)
+    return rival if robust.log_false_alarms(rival, matches, verticals) <= MAX_RIVAL_LOG_FALSE_ALARMS else None
 
 
 def _best_rival(pose: Pose, others: Matches) -> tuple[Pose, int]:
     """The pose of the same rotation and a direction to the other side that most of other matches agree with."""
-    scale = inlier_threshold(others)
+    scale = others.tolerance
     normals = np.cross(others.first, others.second @ pose.rotation.T)
     pairs = np.random.default_rng(0).integers(max(len(normals), 1), size=(RIVAL_SAMPLES if len(normals) else 0, 2))
     ways = np.cross(normals[pairs[:, 0]], normals[pairs[:, 1]])
@@ -310,5 +277,5 @@ def _best_rival(pose: Pose, others: Matches) -> tuple[Pose, int]:
     residual = np.abs(normals @ ways.T) / np.sqrt((1.0 - (others.first @ ways.T) ** 2).clip(scale**2))
     best = np.argsort(-(residual < scale).sum(axis=0), kind="stable")[:RIVAL_CANDIDATES]
     rivals = [Pose(pose.rotation, ways[k]) for k in sorted({0, *best.tolist()})]
-    support = [int(support_mask(rival, others, scale).sum()) for rival in rivals]
+    support = [int(robust.support_mask(rival, others).sum()) for rival in rivals]
     return rivals[int(np.argmax(support))], max(support)

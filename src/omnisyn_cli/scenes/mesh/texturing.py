@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 from omnisyn_cli.scenes.mesh.raycast import Hits, MeshCaster
@@ -141,7 +141,9 @@ Photos = Sequence[UInt8[np.ndarray, "height width 3"]]  # Photographs of surface
 
 def varied_mesh(mesh: TexturedMesh, rng: np.random.Generator, photos: Photos) -> TexturedMesh:
     """Another size, handedness, other materials (without photographs only colours), less furniture; same light map."""
-    kept = _kept_faces(mesh, rng)
+    areas = np.bincount(mesh.face_material, mesh.face_areas(), len(mesh.materials))
+    is_small = areas < MAX_DROPPED_AREA_SHARE * areas.sum()
+    kept = ~(is_small & (rng.random(len(areas)) < DROP_CHANCE * rng.random()))[mesh.face_material]
     scale = np.exp(rng.uniform(*np.log(SCALES))) * np.array([rng.choice([-1.0, 1.0]), 1.0, 1.0])
     share = rng.uniform(*PHOTO_SHARES)
     return replace(
@@ -162,13 +164,6 @@ def papered_mesh(mesh: TexturedMesh, rng: np.random.Generator, photos: Photos) -
             material = replace(material, texture=photos[photo], tile=float(np.exp(tile)))
         materials.append(material)
     return replace(mesh, materials=tuple(materials))
-
-
-def _kept_faces(mesh: TexturedMesh, rng: np.random.Generator) -> Bool[np.ndarray, " faces"]:
-    areas = np.bincount(mesh.face_material, mesh.face_areas(), len(mesh.materials))
-    is_small = areas < MAX_DROPPED_AREA_SHARE * areas.sum()
-    dropped = is_small & (rng.random(len(areas)) < DROP_CHANCE * rng.random())
-    return np.asarray(~dropped[mesh.face_material])
 
 
 def _varied(material: Material, rng: np.random.Generator, photos: Photos, share: float) -> Material:
