@@ -39,7 +39,7 @@ from omnisyn_cli.synthesis.camera_fixed import find_camera_fixed
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 FIRST_VIEW_SHARE = 1e-9  # share of the way at which the exposure of a frame is still that of the first view
 
@@ -115,7 +115,7 @@ class MethodAtWork:
 
     def __call__(self, size: tuple[int, int], clock: Stopwatch) -> Pair:
         """The pair ready for frames of a size; seconds by stage go to the stopwatch."""
-        fuser = _FirstViewOnly(size, threads=self._threads) if self._method.shows_first_only else None
+        fuser = _FirstViewOnly(size, self._threads) if self._method.shows_first_only else None
         with _unavailable_without_network():
             method = make_method(
                 self._config, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
@@ -172,13 +172,16 @@ def _resized(estimate: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     return replace(estimate, inverse_depth=inverse_depth, confidence=confidence)
 
 
-class _FirstViewOnly(GeometricFuser):
-    """A fuser that is blind to the second view."""
+class _FirstViewOnly:
+    """A fuser that is blind to the second view; no :class:`GeometricFuser`, whose rule and twins are not blind."""
+
+    def __init__(self, size: tuple[int, int], threads: int | None) -> None:
+        self._fuser: Fuser = GeometricFuser(size, threads=threads)
 
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
     ) -> Picture:
-        return super().__call__(first, _nothing_of(second), t, out, confidence)
+        return self._fuser(first, _nothing_of(second), t, out, confidence)
 
 
 def _nothing_of(view: Layer) -> Layer:

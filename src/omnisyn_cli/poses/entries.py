@@ -189,7 +189,10 @@ def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -
 
 
 def checked_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation that a matrix of few digits stands for. PoseError from ``where`` on: scale, shear, a mirror, NaN."""
+    """The rotation that a matrix of few digits stands for.
+
+    PoseError, which begins with ``where``: scale, shear, a mirror image, NaN.
+    """
     with np.errstate(over="ignore", invalid="ignore"):  # giant numbers are refused as well
         deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if not deviation <= UNIT_TOLERANCE:

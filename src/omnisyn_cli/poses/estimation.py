@@ -133,7 +133,7 @@ def check_poses(
 ) -> Iterator[PairDiagnosis]:
     """Judge the poses of all neighbours, one after the other.
 
-    InputError: fewer than two panoramas, another number of masks, an unusable file; PoseError: not one entry each.
+    InputError: fewer than two panoramas, another number of masks, unusable files; PoseError: no entry, or two, for one.
     """
     check_images(images)
     check_names_tell_apart(images, pose_file)
@@ -154,7 +154,8 @@ def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOp
     """Correct rotation and direction of every panorama but the first where that makes the pictures fit better.
 
     Distances between neighbours stay, and later panoramas move along. A pair stays where too few matches agree, nothing
-    is gained, or poses contradict the pictures (a mistake to be found). Errors: as :func:`check_poses`, and one twice.
+    is gained, or poses contradict the pictures (a mistake to be found). InputError, PoseError: as :func:`check_poses`;
+    also for a panorama that is named twice.
     """
     check_images(images, may_repeat=False)
     entries, notes, changed = dict(pose_file.panoramas), [], 0
@@ -184,7 +185,7 @@ def estimate_poses(
 
     Baselines are metres between neighbours: their mean (:data:`DEFAULT_BASELINE` without any), or one for each pair.
     Points that several pairs share tell other ratios. ``camera_height``, metres above the floor, stands in for
-    baselines. InputError: as there, or another number of baselines; PoseError: too few matches, or no floor.
+    baselines. InputError: unusable images, or another number of baselines; PoseError: too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
@@ -345,7 +346,8 @@ def _scale(
 def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]) -> tuple[float, float, str]:
     """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it.
 
-    Pairs may see furniture only: matched points have to agree, many closely, or some and none below. No stairs.
+    A few pairs may see nothing but furniture. So matched points have to agree: many closely, or some with none below.
+    Pairs on stairs do not count.
     """
     steps = [world[edge.second].position - world[edge.first].position for edge in edges]
     chosen = [edge for edge, step in zip(edges, steps, strict=True) if abs(step[1]) < MAX_CLIMB * np.hypot(*step[::2])]

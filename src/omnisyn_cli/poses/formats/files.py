@@ -187,7 +187,7 @@ def find_image(where: str, name: str, folders: list[Path], options: ImportOption
     """The file that a source calls ``name``, in the first of ``folders`` that has it, or None.
 
     A name without ending may mean any image (instant-ngp writes such). With ``options.images`` its folder comes first.
-    PoseError from ``where`` on: the name leads out of the folder and ``allow_outside`` is off, or no file can have it.
+    PoseError, which begins with ``where``: the name leads out of the folder without ``allow_outside``, or is no name.
     """
     if not options.allow_outside and (PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts):
         raise PoseError(f"{where}: expected a file inside the source's folder, got '{name}'; use --allow-outside")
