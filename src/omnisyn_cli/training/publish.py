@@ -1,6 +1,6 @@
 """From a checkpoint to a model of the program: exported, compared with torch, entered into the manifest."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ Examples = Iterator[tuple[np.ndarray, ...]]
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A network of a checkpoint that becomes a file of its own."""
+class Part:
+    """A network that becomes a file of its own."""
 
     name: str
     role: str
@@ -51,6 +51,16 @@ def publish(
         raise InputError(f"expected a name without folders, got {name!r}; choose another (--name)")
     network, state = load_network(checkpoint)
     parts = _parts(network, state, name, pool)
+    return publish_parts(
+        parts, folder, training=training or f"{state['step']} steps", licence=licence, metrics=state.get("scores", {}),
+        overwrite=overwrite,
+    )  # fmt: skip
+
+
+def publish_parts(
+    parts: Sequence[Part], folder: Path, *, training: str, licence: str, metrics: Mapping[str, float], overwrite: bool
+) -> list[tuple[ModelEntry, float]]:
+    """Write networks and a new manifest into a folder of models; returns and raises what :func:`publish` does."""
     make_folder(folder, "models")
     for part in parts:
         check_output(folder / f"{part.name}.onnx", overwrite)
@@ -62,7 +72,7 @@ def publish(
             entry = ModelEntry(
                 part.name, part.role, variant=part.network.config.name, file=file.name, sha256=sha256_of(file),
                 size=part.size, parameters=sum(parameter.numel() for parameter in part.network.parameters()),
-                training=training or f"{state['step']} steps", licence=licence, metrics=state.get("scores", {}),
+                training=training, licence=licence, metrics=metrics,
             )  # fmt: skip
             made.append((entry, largest_difference(part.network, file, part.examples)))
         worst = max(difference for _, difference in made)
@@ -76,12 +86,12 @@ def publish(
     return made
 
 
-def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:
+def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[Part]:
     held: dict[str, Any]
     if isinstance(network, SynSinNetwork):
         held, size = dict(network.named_children()), network.config.size
         return [
-            _Part(f"{name or 'synsin'}-{word}", f"synsin-{word}", part, size, _views(network, part, pool))
+            Part(f"{name or 'synsin'}-{word}", f"synsin-{word}", part, size, _views(network, part, pool))
             for word, part in held.items()
         ]
     held, parts = parts_of(network), []
@@ -89,13 +99,13 @@ def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path 
         role, size = role_of(kind), part.ports.size or tuple(state["training"]["size"])
         own = f"{name}-{role}" if name and len(held) > 1 else name
         shown = _examples(TASKS[kind], part, size, pool if len(held) == 1 or role == "depth" else None)
-        parts.append(_Part(own or f"{role}-{part.config.name}", role, part, size, shown))
+        parts.append(Part(own or f"{role}-{part.config.name}", role, part, size, shown))
     return parts
 
 
 def _examples(task: Task, network: Network, size: tuple[int, int], pool: Path | None) -> Examples:
     """Noise, and what the network would be judged by in a pool."""
-    yield from _noise(network, size)
+    yield from noise(network, size)
     if pool is not None:
         stage = TrainConfig(str(pool), str(pool), size=size, validation_pairs=COMPARED_EXAMPLES)
         for batch in task.validation(network, stage):
@@ -104,14 +114,14 @@ def _examples(task: Task, network: Network, size: tuple[int, int], pool: Path | 
 
 def _views(network: SynSinNetwork, part: Network, pool: Path | None) -> Examples:
     """Noise, and panoramas of a pool or what the decoder would see of them."""
-    yield from _noise(part, network.config.size)
+    yield from noise(part, network.config.size)
     rng, size = np.random.default_rng(0), network.config.size
     samples = draw_views(list_scene_files(pool), rng, COMPARED_EXAMPLES, size) if pool else []
     for sample in samples:
         yield (blend_points(network, sample)[None].numpy() if part is network.decoder else sample.images[:1].numpy(),)
 
 
-def _noise(network: Network, size: tuple[int, int]) -> Examples:
+def noise(network: Network, size: tuple[int, int]) -> Examples:
     """Of the trained size; where the file takes any, of half of it and a little more as well."""
     rng, height, multiple = np.random.default_rng(0), size[0], network.config.size_multiple
     half, more = max(multiple, height // 2 // multiple * multiple), height + multiple
