@@ -185,7 +185,8 @@ def estimate_poses(
 
     Baselines are metres between neighbours: their mean (:data:`DEFAULT_BASELINE` without any), or one for each pair.
     Points that several pairs share tell other ratios. ``camera_height``, metres above the floor, stands in for
-    baselines. InputError: unusable images, or another number of baselines; PoseError: too few matches, or no floor.
+    baselines. InputError: unusable images, fewer than two, or one named twice; another number of baselines. PoseError:
+    too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
