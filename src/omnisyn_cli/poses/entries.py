@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Callable
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
 
@@ -18,6 +17,7 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_heading,
     rotation_from_quaternion,
 )
+from omnisyn_cli.io.documents import expected
 
 # Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits.
 UNIT_TOLERANCE = 1e-3
@@ -52,38 +52,27 @@ def _inside_folder(name: str, info: ValidationInfo) -> str:
     return name
 
 
-def _expected(what: str, holds: Callable[[Any], bool]) -> AfterValidator:
-    """A condition of a value, and the words of its error."""
-
-    def checked(value: Any) -> Any:
-        if not holds(value):
-            raise ValueError(what)
-        return value
-
-    return AfterValidator(checked)
-
-
 File = Annotated[str, AfterValidator(_inside_folder)]
 
 Matrix = Annotated[
     list[list[Metres]],
-    _expected(
+    expected(
         "a 3×3 or 4×4 matrix as a list of rows", lambda rows: len(rows) in (3, 4) and {*map(len, rows)} == {len(rows)}
     ),
 ]
 
-Quaternion = Annotated[list[float], _expected("a unit quaternion [w, x, y, z]", lambda numbers: len(numbers) == 4)]
+Quaternion = Annotated[list[float], expected("a unit quaternion [w, x, y, z]", lambda numbers: len(numbers) == 4)]
 
 Text = Annotated[
     str,
     Field(max_length=MAX_TEXT_CHARS),
-    _expected("text without control characters", lambda text: not CONTROL_CHARACTERS.search(text)),
+    expected("text without control characters", lambda text: not CONTROL_CHARACTERS.search(text)),
 ]
 
-FirstVersion = Annotated[Any, _expected("1, the only version there is", lambda n: type(n) is int and n == 1)]
+FirstVersion = Annotated[Any, expected("1, the only version there is", lambda n: type(n) is int and n == 1)]
 
 LinkEntry = Annotated[
-    list[str], _expected("the names of two different panoramas", lambda names: len(names) == 2 == len(set(names)))
+    list[str], expected("the names of two different panoramas", lambda names: len(names) == 2 == len(set(names)))
 ]
 
 
