@@ -28,11 +28,10 @@ from omnisyn_cli.io import read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encode import image_sequence, is_sequence
-from omnisyn_cli.io.encoders import CODECS, as_fraction
+from omnisyn_cli.io.encoders import CODECS, Soundtrack, as_fraction
 from omnisyn_cli.io.ffmpeg_process import read_soundtrack
 from omnisyn_cli.io.images import is_squeezed
 from omnisyn_cli.io.placement import placement_of
-from omnisyn_cli.io.soundtrack import Soundtrack
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
 from omnisyn_cli.poses.tour import Tour

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.io import encoders
 from omnisyn_cli.io.encode import (
     IMAGE_SUFFIXES,
     ImageSequence,
@@ -24,10 +25,9 @@ from omnisyn_cli.io.encode import (
     is_sequence,
     open_sequence,
 )
-from omnisyn_cli.io.encoders import CODECS, PLANAR_FORMAT, EncoderSettings, check_settings, encoder_command, raw_format
+from omnisyn_cli.io.encoders import CODECS, EncoderSettings, Soundtrack
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
 from omnisyn_cli.io.outputs import check_output, temporary_name
-from omnisyn_cli.io.soundtrack import Soundtrack
 from omnisyn_cli.io.spherical import inject_spherical
 
 # What a folder of frames can be made of.
@@ -95,8 +95,7 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     target = Path(path)
     resolved = _checked(target, overwrite, encoding)
     if isinstance(resolved, EncoderSettings):
-        stereo_mode = encoding.get("stereo_mode", "mono")
-        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, stereo_mode, overwrite=overwrite)
+        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, overwrite=overwrite)
     else:
         place = open_sequence(resolved, encoding["size"], overwrite=overwrite)
     with place as sink:
@@ -115,7 +114,6 @@ def _checked(path: Path, overwrite: bool, encoding: Encoding) -> ImageSequence |
 def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> ImageSequence | EncoderSettings:
     """The image sequence that a path means, or how its video is encoded."""
     sequence = _sequence_of(path, codec)
-    encoding.pop("stereo_mode", None)  # nothing that an encoder sees
     if sequence is None:
         if codec in IMAGE_CODECS:
             raise OutputPathError(
@@ -123,7 +121,7 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
                 "name a folder for images"
             )
         settings = EncoderSettings(codec=codec or "h264", **encoding)
-        check_settings(path, settings)
+        encoders.check_settings(path, settings)
         return settings
     if encoding.get("crf") is not None or encoding.get("preset") is not None:
         raise OutputPathError(f"{path}: expected no quality or preset for a folder of frames, got one; leave it out")
@@ -131,14 +129,12 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
 
 
 @contextmanager
-def _encoded(
-    target: Path, settings: EncoderSettings, stereo_mode: str | None, *, overwrite: bool
-) -> Iterator[EncoderProcess]:
+def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Iterator[EncoderProcess]:
     """An encoder to a hidden file, which becomes ``target``, tagged as spherical, when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
-    command, shape = encoder_command(encoded, settings), (*settings.size, 3)
+    command, shape = encoders.encoder_command(encoded, settings), (*settings.size, 3)
     packed: Packing | None = None
-    if raw_format(settings) == PLANAR_FORMAT:
+    if encoders.raw_format(settings) == encoders.PLANAR_FORMAT:
         from omnisyn_cli.io.yuv import PlanarFrames  # a kernel, which a plan does without
 
         packed = PlanarFrames(settings.size)
@@ -146,7 +142,7 @@ def _encoded(
         with EncoderProcess(command, target, shape, settings.dtype, packed) as encoder:
             yield encoder
         check_output(target, overwrite)  # somebody else may have made one in the meantime
-        inject_spherical(encoded, target, stereo_mode)
+        inject_spherical(encoded, target, settings.stereo_mode)
     finally:
         encoded.unlink(missing_ok=True)
 
