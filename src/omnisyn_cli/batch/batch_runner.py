@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +24,6 @@ from omnisyn_cli.batch.folder import (
     remove_leftovers,
     write_outputs,
 )
-from omnisyn_cli.batch.interpolations import WorkerSettings
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
@@ -111,7 +110,7 @@ def run_batch(
         jobs = [Job(job.id, job, _cost(job), job.group) for job in todo]
         tell = on_progress or (lambda _: None)
         tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
-        executor = make_executor(partial(WorkerSettings, folder.absolute(), staging), options, len(jobs))
+        executor = make_executor((folder.absolute(), staging), options, len(jobs))
         with closing(run_jobs(jobs, executor)) as outcomes:
             for outcome in outcomes:
                 record = _record(outcome, folder, is_host_named=options.record_host)
@@ -124,18 +123,18 @@ def run_batch(
     return report
 
 
-def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptions, jobs: int) -> Executor:
-    """At most one worker per job; ``settings`` makes a worker's of its threads. InputError: Ray is not installed."""
+def make_executor(place: tuple[Path, str], options: BatchOptions, jobs: int) -> Executor:
+    """At most one worker per job; ``place`` is the folder, and the hidden one in it. InputError: Ray is missing."""
     if options.engine == "ray":
         from omnisyn_cli.batch.ray_executor import RayExecutor
 
         threads = options.threads or 1
-        work = Work(INTERPOLATOR, settings(threads))
+        work = Work(INTERPOLATOR, (*place, threads))
         return RayExecutor(work, options.workers, threads, options.gpus, options.ray_address)
     cores = available_threads()
     workers = options.workers or cores
     threads = options.threads or max(1, cores // workers)
-    return LocalExecutor(Work(INTERPOLATOR, settings(threads)), max(1, min(workers, jobs)), threads)
+    return LocalExecutor(Work(INTERPOLATOR, (*place, threads)), max(1, min(workers, jobs)), threads)
 
 
 def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport, retry_failed: bool) -> bool:
