@@ -27,7 +27,7 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points, spread_above
-from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
+from omnisyn_cli.poses.gravity import REMEDIES, find_vertical, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
@@ -35,8 +35,7 @@ from omnisyn_cli.poses.registration.features import Matches, find_features, grey
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import Edge, Given
 from omnisyn_cli.poses.registration.robust import Estimate, support_mask
-from omnisyn_cli.poses.registration.scan import Scan, find_vertical, forget_tables, register_pair, scan_panorama
-from omnisyn_cli.poses.same_place import without_repeats
+from omnisyn_cli.poses.registration.scan import Scan, forget_tables, register_pair, scan_panorama, without_repeats
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
