@@ -293,17 +293,17 @@ def _uncertainty_values(uncertainty: PoseUncertainty | None) -> dict[str, dict[s
 
 def _companion_names(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:
     """The names by which a pose file calls depth and mask of an entry."""
-    files = {"depth": panorama.depth, "mask": panorama.mask}
-    return {k: _relative(path, name, k, file, allow_outside) for k, file in files.items() if file is not None}
-
-
-def _relative(path: Path, name: str, key: str, file: Path, allow_outside: bool) -> str:
-    folder, place = path.parent.absolute(), file.absolute()
-    if place.is_relative_to(folder) and not (allow_outside and ".." in file.parts):
-        return place.relative_to(folder).as_posix()
-    if allow_outside:
-        return relative_name(real_path(file.parent) / file.name, real_path(folder))
-    raise PoseError(
-        f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
-        "write the pose file beside it, or allow files elsewhere (--allow-outside)"
-    )
+    folder, names = path.parent.absolute(), {}
+    for key, file in (("depth", panorama.depth), ("mask", panorama.mask)):
+        if file is None:
+            continue
+        if file.absolute().is_relative_to(folder) and not (allow_outside and ".." in file.parts):
+            names[key] = file.absolute().relative_to(folder).as_posix()
+        elif allow_outside:
+            names[key] = relative_name(real_path(file.parent) / file.name, real_path(folder))
+        else:
+            raise PoseError(
+                f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
+                "write the pose file beside it, or allow files elsewhere (--allow-outside)"
+            )
+    return names
