@@ -215,8 +215,7 @@ def installed(tmp_path, monkeypatch):
     folder = tmp_path / "models"
     folder.mkdir()
     install(folder)
-    for module in (models, provenance):
-        monkeypatch.setattr(module, "models_folder", lambda: folder)
+    monkeypatch.setattr(models, "models_folder", lambda: folder)
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     fuser = lambda name, settings, **_: GeometricFuser(settings.size, threads=1)  # noqa: E731
     monkeypatch.setattr("omnisyn_cli.pipeline.factory.make_fuser", fuser)
