@@ -143,8 +143,7 @@ def _scale_of(path: Path, transform: list[Row] | None) -> float:
 SPHERICAL_PROJECTIONS = frozenset({"spherical", "equirectangular"})
 MAX_ABSOLUTE = 1e9  # Radians or metres; more is a mistake, and its square might overflow
 
-Coordinate = Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]
-Vector = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]], Field(min_length=3, max_length=3)]
 
 
 class Camera(ForeignModel):
