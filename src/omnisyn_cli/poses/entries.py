@@ -150,31 +150,29 @@ def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
     if (entry.rotation is None) == (entry.matrix is None):
         found = "both" if entry.rotation else "neither"
         raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
-    if entry.matrix is not None:
-        return _matrix_pose(where, np.array(entry.matrix), entry.position)
-    rotation = checked_quaternion(f"{where}.rotation", np.array(entry.rotation))
-    return Pose(rotation, _position(where, entry.position))
-
-
-def _position(where: str, position: list[float] | None) -> np.ndarray:
+    position = entry.position
+    if entry.matrix is None:
+        rotation = checked_quaternion(f"{where}.rotation", np.array(entry.rotation))
+    else:
+        matrix = np.array(entry.matrix)
+        position = _translation(where, matrix, position) if len(matrix) == 4 else position
+        rotation = checked_rotation(f"{where}.matrix", matrix[:3, :3])
     if position is None:
         raise PoseError(f"{where}: expected the key 'position', got none; add it as [x, y, z] in metres")
-    return np.array(position, float)
+    return Pose(rotation, np.array(position, float))
 
 
-def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -> Pose:
-    """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
-    if len(matrix) == 4:
-        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
-            raise PoseError(f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
-        translation = matrix[:3, 3]
-        if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}: expected position to agree with the 4×4 matrix, got {position} and "
-                f"{translation.tolist()}; remove position"
-            )
-        position = translation.tolist()
-    return Pose(checked_rotation(f"{where}.matrix", matrix[:3, :3]), _position(where, position))
+def _translation(where: str, matrix: np.ndarray, position: list[float] | None) -> list[float]:
+    """That of a 4×4 transform, with which a position agrees if there is one."""
+    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
+        raise PoseError(f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
+    translation: list[float] = matrix[:3, 3].tolist()
+    if position is not None and np.abs(np.subtract(translation, position)).max() > POSITION_TOLERANCE:
+        raise PoseError(
+            f"{where}: expected position to agree with the 4×4 matrix, got {position} and {translation}; remove "
+            "position"
+        )
+    return translation
 
 
 def checked_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

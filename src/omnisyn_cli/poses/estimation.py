@@ -188,8 +188,8 @@ def estimate_poses(
     too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
-    lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
-    given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
+    _check_baselines(baselines, len(images) - 1)
+    given = {(k, k + 1): length for k, length in enumerate(baselines)} if len(baselines) > 1 else {}
     options = options or PictureOptions()
     scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(images, options)]
     repeats: list[str] = []
@@ -389,12 +389,11 @@ def check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
         check_is_file(image)
 
 
-def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:
-    if len(baselines) not in (1, pairs):
+def _check_baselines(baselines: Sequence[float], pairs: int) -> None:
+    if len(baselines) not in (0, 1, pairs):
         raise InputError(f"expected one baseline, or one for each of {pairs} pairs, got {len(baselines)}; name as many")
     if not all(np.isfinite(length) and length > 0 for length in baselines):
         raise InputError(f"expected baselines above 0 m, got {', '.join(map(str, baselines))}; measure them")
-    return list(baselines) * (pairs if len(baselines) == 1 else 1)
 
 
 def usable_pictures(
