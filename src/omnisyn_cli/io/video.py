@@ -15,16 +15,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import OutputPathError
-from omnisyn_cli.io import encoders
-from omnisyn_cli.io.encode import (
-    IMAGE_SUFFIXES,
-    ImageSequence,
-    check_sequence,
-    image_sequence,
-    is_ambiguous,
-    is_sequence,
-    open_sequence,
-)
+from omnisyn_cli.io import encode, encoders
 from omnisyn_cli.io.encoders import CODECS, EncoderSettings, Soundtrack
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
 from omnisyn_cli.io.outputs import check_output, temporary_name
@@ -97,21 +88,21 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     if isinstance(resolved, EncoderSettings):
         place: AbstractContextManager[FrameSink] = _encoded(target, resolved, overwrite=overwrite)
     else:
-        place = open_sequence(resolved, encoding["size"], overwrite=overwrite)
+        place = encode.open_sequence(resolved, encoding["size"], overwrite=overwrite)
     with place as sink:
         yield sink
 
 
-def _checked(path: Path, overwrite: bool, encoding: Encoding) -> ImageSequence | EncoderSettings:
+def _checked(path: Path, overwrite: bool, encoding: Encoding) -> encode.ImageSequence | EncoderSettings:
     resolved = _resolved(path, **encoding)
     if isinstance(resolved, EncoderSettings):
         check_output(path, overwrite)
     else:
-        check_sequence(resolved, overwrite)
+        encode.check_sequence(resolved, overwrite)
     return resolved
 
 
-def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> ImageSequence | EncoderSettings:
+def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> encode.ImageSequence | EncoderSettings:
     """The image sequence that a path means, or how its video is encoded."""
     sequence = _sequence_of(path, codec)
     if sequence is None:
@@ -147,12 +138,12 @@ def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Ite
         encoded.unlink(missing_ok=True)
 
 
-def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
+def _sequence_of(path: Path, codec: str | None) -> encode.ImageSequence | None:
     """The images that a path means, or None for a video: a doubtful name means one unless images are asked for."""
-    if codec not in IMAGE_CODECS and is_ambiguous(path):
+    if codec not in IMAGE_CODECS and encode.is_ambiguous(path):
         return None
-    if not is_sequence(path):
-        if path.suffix.lower() in IMAGE_SUFFIXES:
+    if not encode.is_sequence(path):
+        if path.suffix.lower() in encode.IMAGE_SUFFIXES:
             raise OutputPathError(
                 f"{path}: expected a video, a folder or a pattern, got one image; add a frame number such as %06d"
             )
@@ -162,7 +153,7 @@ def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
             f"{path}: expected one of {', '.join(IMAGE_CODECS)} for a folder of frames, got codec '{codec}'; "
             "name a video file such as video.mp4 instead"
         )
-    sequence = image_sequence(path, IMAGE_CODECS[codec or "png"][0])
+    sequence = encode.image_sequence(path, IMAGE_CODECS[codec or "png"][0])
     if codec is not None and not sequence.after.lower().endswith(IMAGE_CODECS[codec]):
         endings = " or ".join(IMAGE_CODECS[codec])
         raise OutputPathError(f"{path}: expected a pattern ending in {endings} for {codec}; change the pattern")
