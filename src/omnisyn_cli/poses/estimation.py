@@ -403,12 +403,11 @@ def usable_pictures(
     if options.masks and len(options.masks) != len(images):
         raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
     limits: dict[str, Any] = {"allow_aspect": options.allow_aspect, "max_pixels": options.max_pixels}
-    mask_reading = replace(options.reading, view_transform=False)
     none = [None] * len(images)
     for image, *both in zip(images, masks or none, options.masks or none, strict=True):
         panorama = read_panorama(image, reading=options.reading, **limits)
         size = panorama.image.shape[:2]
-        yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=mask_reading, **limits)
+        yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=options.reading, **limits)
     forget_tables()
 
 
