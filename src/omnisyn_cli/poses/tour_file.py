@@ -125,10 +125,8 @@ class _Source:
 
     def panorama(self, name: str, image: Path) -> TourPanorama:
         posed, entry = self._poses.panoramas[name], self._entries.get(name, _PanoramaEntry())
-        title, caption = (
-            own if own is not None else given
-            for own, given in ((entry.title, posed.title), (entry.caption, posed.caption))
-        )
+        title = posed.title if entry.title is None else entry.title
+        caption = posed.caption if entry.caption is None else entry.caption
         hotspots = self.hotspots(entry.hotspots, name)
         return TourPanorama(name, image, posed.pose, title or image.stem, caption, hotspots)
 
