@@ -12,8 +12,7 @@ from omnisyn_cli.geometry.sphere import FORWARD, UP, normalize, pixel_directions
 from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses
-from omnisyn_cli.poses.gravity import Gravity, gravity_of, gravity_of_picture
-from omnisyn_cli.poses.registration.scan import Vertical
+from omnisyn_cli.poses.gravity import Gravity, Vertical, gravity_of, gravity_of_picture
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 SIZE = (384, 768)

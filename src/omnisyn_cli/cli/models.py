@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +68,10 @@ def list_models(folder: Path | None, as_json: bool) -> None:
     if not entries:
         say("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
         return
-    for line in _table([HEADER, *map(_row, entries)]):
-        say(line)
+    rows = [HEADER, *map(_row, entries)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:  # the width of a terminal crops nothing
+        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
     for choice in _choices(entries, folder):
         say(f"for interpolate: {choice}")
 
@@ -116,13 +118,6 @@ def _row(entry: ModelEntry) -> tuple[str, ...]:
     counted = f"{count / 1e6:.1f} million" if count >= 1e5 else f"{count:,}"
     hours = f"{entry.hours:g}" if entry.hours else "-"
     return entry.name, entry.role, f"{width}x{height}", counted, hours, entry.purpose
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Lines with aligned columns; the width of a terminal crops nothing."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 @click.command("export-onnx")
