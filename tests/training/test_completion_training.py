@@ -15,12 +15,11 @@ from omnisyn_cli.networks.completion import (
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training import losses
-from omnisyn_cli.training.checkpoint import load_network
+from omnisyn_cli.training.checkpoint import load_network, publish
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion, make_feature_scene
 from omnisyn_cli.training.data import list_scene_files, load_samples
 from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.losses import completion_loss, completion_scores
-from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.scene_makers import SceneConfig
 from omnisyn_cli.training.tasks import TrainConfig
 
@@ -122,7 +121,7 @@ def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, 
     with pytest.raises(InputError, match=r"name without folders, got 'a/b'; choose another \(--name\)"):
         publish(checkpoint, models, name="a/b")
 
-    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("omnisyn_cli.training.checkpoint.largest_difference", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         publish(checkpoint, models)
     assert list(models.iterdir()) == []

@@ -21,12 +21,11 @@ from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training import joint
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, publish, save_checkpoint
 from omnisyn_cli.training.data import list_scene_files, save_samples
 from omnisyn_cli.training.loop import Trainer, train
 from omnisyn_cli.training.losses import network_inputs
 from omnisyn_cli.training.pairs import Triples, draw_pairs, swap_cameras
-from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 

@@ -7,13 +7,12 @@ import pytest
 import torch
 from training_samples import ball_walk, make_pool
 
-from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.networks.synsin import SynSinConfig
 from omnisyn_cli.training.checkpoint import load_checkpoint
 from omnisyn_cli.training.data import list_scene_files
 from omnisyn_cli.training.loop import train
-from omnisyn_cli.training.synsin import ViewSample, draw_views, view_sample
+from omnisyn_cli.training.synsin import ViewSample, draw_views, splat_torch, view_sample
 from omnisyn_cli.training.tasks import TrainConfig
 
 TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)

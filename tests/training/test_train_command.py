@@ -13,11 +13,10 @@ from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
 from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, find_model, manifest_text, read_manifest
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.training.checkpoint import load_checkpoint, load_network
+from omnisyn_cli.training.checkpoint import load_checkpoint, load_network, publish
 from omnisyn_cli.training.data import save_samples
 from omnisyn_cli.training.fusion_scenes import FusionBatch
 from omnisyn_cli.training.loop import choose_precision, train
-from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig
 from synsin_samples import TINY_SIZE, write_synsin_models
 
@@ -138,7 +137,7 @@ def test_synsin_becomes_three_models_that_belong_together(tmp_path):
 
 def test_if_one_of_three_says_something_else_none_is_left(tmp_path, monkeypatch):
     answers = iter([0.0, 0.0, 0.01])
-    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", lambda *_: next(answers))
+    monkeypatch.setattr("omnisyn_cli.training.checkpoint.largest_difference", lambda *_: next(answers))
     with pytest.raises(OmnisynError, match="not exported"):
         write_synsin_models(tmp_path / "models")
     assert [path.name for path in (tmp_path / "models").iterdir()] == ["fresh.pt"]

@@ -10,7 +10,7 @@ from training_samples import ball_walk
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks import guided_depth
 from omnisyn_cli.training import recipe
-from omnisyn_cli.training.publish import publish
+from omnisyn_cli.training.checkpoint import publish
 from omnisyn_cli.training.recipe import Recipe, RecipeTrainer, Stage, read_recipe, train_recipe
 from omnisyn_cli.training.tasks import TASKS
 

@@ -32,7 +32,7 @@ class FrameRecord:
     t: float  # share of the way from the first panorama to the second, by distance, in (0, 1)
     distance: float  # metres to the nearer of the two panoramas
     # ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``, ``lrce``;
-    # ``change_psnr`` of all but the first, see :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying``
+    # ``change_psnr`` of all but the first, see :func:`omnisyn_cli.evaluation.measure.change_psnr`; ``flying``
     # where true depth is known, and ``shards`` of all frames, the only one without a true frame, see
     # :mod:`omnisyn_cli.evaluation.metrics.artefacts`.
     scores: Mapping[str, float]
@@ -82,7 +82,7 @@ class UnitRecord:
     # one for every true frame between, in walking order; one half way where there are none
     frames: tuple[FrameRecord, ...] = ()
     depths: tuple[DepthRecord, ...] = ()  # of the first and of the second panorama; empty for methods without depth
-    # ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.metrics.temporal`), and ``end_first``,
+    # ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.measure`), and ``end_first``,
     # ``end_second``: root mean square difference, weighted by solid angle, between what the method makes at the place
     # of a panorama and that panorama. Measures that a method does not allow are missing.
     temporal: Mapping[str, float] = field(default_factory=dict)

@@ -17,9 +17,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_to_angles
-from omnisyn_cli.networks.interface import DepthPrediction
+from omnisyn_cli.networks.interface import DepthPrediction, RefinementUNet, RefinementUNetConfig
 from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, init_small, initialise
-from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 FILLED_CHANNEL = 3  # Input channel with the filled √(inverse depth × baseline) that is corrected
 CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6  # Input channels where matching is reliable: left-right consistent, or sky

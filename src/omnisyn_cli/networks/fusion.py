@@ -16,10 +16,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.interface import Network, Ports, check_multiple
+from omnisyn_cli.networks.interface import Network, Ports, RefinementUNet, RefinementUNetConfig, check_multiple
 from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
 from omnisyn_cli.networks.paper import RGB_CHANNELS, Block, upsample_linear
-from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 # Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 # of the depth hypotheses.

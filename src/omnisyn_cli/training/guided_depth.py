@@ -22,9 +22,8 @@ from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedD
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 from omnisyn_cli.training.losses import polar_weights, signed_error
-from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.pairs import turned_table
-from omnisyn_cli.training.walks import baseline_ratios
+from omnisyn_cli.training.walks import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 
 MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
 MIN_BASELINE_RATIO = 0.03  # Baselines over median depth below this are not drawn where there are others
@@ -116,7 +115,7 @@ def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray,
 
 def _choose(walk: Walk, rng: np.random.Generator, is_guided: bool) -> tuple[int, int, float]:
     """Two views, and their baseline over the median depth of the first; all bins that there are equally often."""
-    ratios = baseline_ratios(walk.inverse_depth, walk.positions)
+    ratios = walk.baseline_ratios()
     pairs = walk.pairs.tolist() if is_guided else np.argwhere(~np.eye(len(ratios), dtype=bool)).tolist()
     found = [(first, second, float(ratios[first, second])) for first, second in pairs]
     in_range = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found
