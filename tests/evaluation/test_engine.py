@@ -9,7 +9,7 @@ import pytest
 from hall_samples import PATH, SIZE, damage, repaint, run, scores_of, write_halls
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import engine, fingerprint, methods
+from omnisyn_cli.evaluation import engine, methods, results
 from omnisyn_cli.evaluation.datasets.sources import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.measure import measure
@@ -178,19 +178,19 @@ def test_what_was_finished_before_an_interruption_is_in_the_report(halls):
 
 def test_a_changed_program_measures_again(halls, monkeypatch):
     run(halls, "crossfade")
-    monkeypatch.setattr(fingerprint, "digest_of_sources", lambda _: "another")
+    monkeypatch.setattr(results, "digest_of_sources", lambda _: "another")
     run(halls, "crossfade")
     assert lines(halls) == [("a", "crossfade"), ("b", "crossfade")] * 2
 
 
 def test_sources_are_those_that_methods_go_through(tmp_path):
     def digest(**files: str) -> str:
-        fingerprint.digest_of_sources.cache_clear()
+        results.digest_of_sources.cache_clear()
         for name, text in files.items():
             path = tmp_path / f"{name.replace('_', '/')}.py"
             path.parent.mkdir(exist_ok=True)
             path.write_text(text)
-        return fingerprint.digest_of_sources(tmp_path)
+        return results.digest_of_sources(tmp_path)
 
     first = digest(render_mesh="a", cli_eval="a")
     assert digest(cli_eval="b") == first

@@ -27,9 +27,9 @@ from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.evaluation.datasets.sources import Pair, SceneFrame, choose_pairs
-from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.metrics import ws_psnr
+from omnisyn_cli.evaluation.results import Fingerprints
 from omnisyn_cli.evaluation.scene_files import PANORAMA_NAMES, write_scene
 from omnisyn_cli.evaluation.views import at_size, load_pair
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -74,8 +74,7 @@ def computing() -> float:
 def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = lambda: None) -> Figures:
     """Measure a setting in an empty folder; ``start`` is what the first clip, made twice, takes longer at first.
 
-    ``on_warm`` is called in between. InputError: no picture or network; EncodingError, WriteError: a clip is not
-    written.
+    ``on_warm`` is called in between. InputError: no picture or network; EncodingError, WriteError: a clip not written.
     """
     setting = run.setting
     config = replace(find_method(setting.method).config, device=run.device)
@@ -232,8 +231,7 @@ def run_bench(
 ) -> list[Figures]:
     """Measure what is not measured yet in the folder of a report; the figures of all settings in their order.
 
-    InputError: earlier results or the data set cannot be read; OutputPathError, WriteError: the folder cannot be
-    written.
+    InputError: unreadable earlier results or data set; OutputPathError, WriteError: the folder cannot be written.
     """
     make_folder(report, "results")
     path = report / RESULTS_NAME

@@ -19,8 +19,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.evaluation.metrics import image as metrics
 from omnisyn_cli.evaluation.metrics.artefacts import PhotographEdges, flying_share, shard_share
 from omnisyn_cli.evaluation.metrics.depth import confidence_metrics, depth_metrics, left_right_metrics, scored_pixels
-from omnisyn_cli.evaluation.metrics.image import Masks, Picture
-from omnisyn_cli.evaluation.metrics.photographs import photograph_scores
+from omnisyn_cli.evaluation.metrics.image import Masks, Picture, photograph_scores
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord
 from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame, at_size
 from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
@@ -206,8 +205,7 @@ def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence
 def flicker(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
     """Mean absolute second difference in time, ``|before − 2·now + after|``, of every point that three frames see.
 
-    A steady change is no flicker; a point that lights up for one frame by e counts 2·e. At least three frames;
-    ValueError: neighbours have nothing in common.
+    A steady change is no flicker; a point lit for one frame by e counts 2·e. At least three frames; errors as above.
     """
     errors = []
     for now in range(1, len(frames) - 1):

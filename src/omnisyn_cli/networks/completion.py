@@ -6,8 +6,7 @@ filled map, and which is likelier: at an edge one follows the near surface and t
 never lies between them. At the coarsest stride each position attends to all others, biased by the angle between them.
 For inputs see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
 
-Source: Tosi et al., SMD-Nets, 2021; OmniSyn, section 3.3 (monocular skip); Vaswani et al., Attention is all you need,
-2017.
+Source: Tosi et al., SMD-Nets, 2021; OmniSyn, 3.3 (monocular skip); Vaswani et al., Attention is all you need, 2017.
 """
 
 from dataclasses import dataclass

@@ -3,9 +3,7 @@
 ``paper`` predicts colours from two renderings and their visibility masks, at one resolution. ``residual`` sees
 :mod:`omnisyn_cli.fusion.input_channels` and the backward-warped candidates of
 :mod:`omnisyn_cli.fusion.warp_candidates`, and predicts the weight of each candidate in a pixel, small ones at first.
-Candidates are photographs: frames stay as sharp as these.
-
-Source: OmniSyn, section 3.5.
+Candidates are photographs: frames stay as sharp as these. Source: OmniSyn, section 3.5.
 """
 
 import itertools

@@ -205,8 +205,7 @@ def dense_agreement(first: View, second: View, first_from_second: Pose) -> float
 
     Repeated things, such as the goods on a shelf, can make sparse matches support a direction and its opposite equally
     well. Dense matches tell the two apart: on 28 generated and ray-traced pairs the true direction has 1.5 to 13 times
-    as many as the opposite one. Their own poses do not matter; ``first_from_second`` is the relative pose, of two
-    different positions.
+    as many as the opposite one. Their own poses do not matter; ``first_from_second`` is of two positions.
     """
     posed = View(first.image, Pose.identity(), first.mask), View(second.image, first_from_second, second.mask)
     options = MatchingOptions(size=(2 * AGREEMENT_ROWS, 4 * AGREEMENT_ROWS))

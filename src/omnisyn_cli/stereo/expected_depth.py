@@ -224,8 +224,7 @@ def expected_planes(
 
     A sweep finds a plane if enough windows match on it, wherever it is. Far apart, cameras see walls too differently
     for that. The network says where planes are to within some 10 %, and so near a plane a linear fit finds the rest.
-    Best supported come first. A plane that no texture can move stays where it is expected. The sweep had these
-    directions, and found ``swept``.
+    The best supported come first; what no texture can move stays. The sweep had these directions, and found ``swept``.
     """
     small = pair if pair.priors is None else pair.resized(EXPECTED_SIZE)
     if small.priors is None:

@@ -86,8 +86,7 @@ class RefinedDepthEstimator:
     def _complete_with_network(self, features: tuple[StereoFeatures, StereoFeatures]) -> InvDepthPair:
         """The network's depth, or the filled map without one.
 
-        Where stereo is not valid the network chooses between two depths for each pixel alone. The median of its answers
-        around a pixel is smoother and keeps edges.
+        Where stereo is not valid it chooses between two depths for each pixel alone: medians are smoother, with edges.
         """
         first, second = features
         if self.completion is None:
@@ -170,8 +169,7 @@ def _checked_estimates(
 ) -> EstimatePair:
     """Estimates in 1/metre; what speaks against their confidence, in each panorama beside the other one.
 
-    There is none where masked, nor where the other panorama looks through the surface, and less where both disagree
-    with each other around a pixel.
+    There is none where masked or where the other panorama looks through the surface, less where both disagree nearby.
     """
     baseline = distance_between(views[0].pose, views[1].pose)
     in_metres = [(inverse_depth / baseline).astype(np.float32) for inverse_depth, _ in maps]

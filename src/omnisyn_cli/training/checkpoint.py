@@ -7,7 +7,6 @@ exported network too: it becomes a checkpoint of its weights by name.
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -137,17 +136,7 @@ def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
 COMPARED_EXAMPLES = 3  # Examples of each kind that torch and ONNX Runtime are compared on
 
 Examples = Iterator[tuple[np.ndarray, ...]]
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A network of a checkpoint that becomes a file of its own."""
-
-    name: str
-    role: str
-    network: Network
-    size: tuple[int, int]
-    examples: Examples
+Part = tuple[str, str, Network, tuple[int, int], Examples]  # What becomes a file: name, role, network, size, examples.
 
 
 def publish(
@@ -168,19 +157,19 @@ def publish(
     network, state = load_network(checkpoint)
     parts = _parts(network, state, name, pool)
     make_folder(folder, "models")
-    for part in parts:
-        check_output(folder / f"{part.name}.onnx", overwrite)
+    for own_name, *_ in parts:
+        check_output(folder / f"{own_name}.onnx", overwrite)
     with staged_folder(folder, overwrite=overwrite) as staged:
         made = []
-        for part in parts:
-            file = staged / f"{part.name}.onnx"
-            export_network(part.network, file)
+        for own_name, role, part, size, examples in parts:
+            file = staged / f"{own_name}.onnx"
+            export_network(part, file)
             entry = ModelEntry(
-                part.name, part.role, variant=part.network.config.name, file=file.name, sha256=sha256_of(file),
-                size=part.size, parameters=sum(parameter.numel() for parameter in part.network.parameters()),
+                own_name, role, variant=part.config.name, file=file.name, sha256=sha256_of(file), size=size,
+                parameters=sum(parameter.numel() for parameter in part.parameters()),
                 training=training or f"{state['step']} steps", licence=licence, metrics=state.get("scores", {}),
             )  # fmt: skip
-            made.append((entry, largest_difference(part.network, file, part.examples)))
+            made.append((entry, largest_difference(part, file, examples)))
         worst = max(difference for _, difference in made)
         if not worst <= PARITY:
             raise OmnisynError(
@@ -192,20 +181,20 @@ def publish(
     return made
 
 
-def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:
+def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[Part]:
     held: dict[str, Any]
     if isinstance(network, SynSinNetwork):
         held, size = dict(network.named_children()), network.config.size
         return [
-            _Part(f"{name or 'synsin'}-{word}", f"synsin-{word}", part, size, _views(network, part, pool))
+            (f"{name or 'synsin'}-{word}", f"synsin-{word}", part, size, _views(network, part, pool))
             for word, part in held.items()
         ]
-    held, parts = parts_of(network), []
+    held, parts = parts_of(network), list[Part]()
     for kind, part in held.items():
         role, size = role_of(kind), part.ports.size or tuple(state["training"]["size"])
         own = f"{name}-{role}" if name and len(held) > 1 else name
         shown = _examples(TASKS[kind], part, size, pool if len(held) == 1 or role == "depth" else None)
-        parts.append(_Part(own or f"{role}-{part.config.name}", role, part, size, shown))
+        parts.append((own or f"{role}-{part.config.name}", role, part, size, shown))
     return parts
 
 

@@ -1,8 +1,7 @@
 """What the guided depth network is shown, taught and judged by.
 
 A pair is two views of a walk, turned so that the other camera is ahead. Pairs of narrow, medium and wide baselines are
-drawn equally often, where a walk has them. Cameras are held slightly askew, poses are slightly wrong, and some tripods
-are capped, as in use.
+drawn equally often, where a walk has them. Cameras are a bit askew, poses a bit wrong, some tripods capped, as in use.
 """
 
 import math
@@ -60,8 +59,7 @@ def draw_guided(
 ) -> GuidedBatch:  # fmt: skip
     """Random pairs of random walks, a share ``guided`` of them with what matching says.
 
-    ``size`` is a whole fraction of the pool's, else InputError. Targets are clipped; nothing varies without
-    augmentation.
+    ``size`` is a whole fraction of the pool's, else InputError. Targets are clipped; augmentation None varies nothing.
     """
     walks = (data.draw_walk(pool, rng, size[0]) for _ in range(pairs))
     return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])

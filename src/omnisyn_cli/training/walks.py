@@ -18,8 +18,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.scenes import GENERATORS, render_panorama
-from omnisyn_cli.scenes.mesh.places import find_walk
-from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster, find_walk
 from omnisyn_cli.scenes.mesh.render import MeshScene, lit_scene, render_mesh
 from omnisyn_cli.scenes.mesh.texturing import varied_mesh
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
@@ -207,8 +206,7 @@ def match_views(
 ) -> Float32[np.ndarray, "2 4 rows cols"]:
     """What matching says of both views of a pair, each turned so that the other one is ahead; a quarter of the size.
 
-    Images are upright, eight bits, with one heading; ``motion`` to the second is in metres; no ``rng`` leaves all
-    exact.
+    Images are upright, eight bits, with one heading; ``motion`` to the second is in metres; no ``rng``: all is exact.
     """
     baseline = float(np.linalg.norm(motion))
     turned, ahead = facing_the_other(images, motion / baseline)

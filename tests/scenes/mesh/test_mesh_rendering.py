@@ -15,8 +15,7 @@ from omnisyn_cli.io import read_depth
 from omnisyn_cli.io.encode import write_image
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.scenes.mesh.places import find_line, find_places
-from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster, find_line, find_places
 from omnisyn_cli.scenes.mesh.render import lit_scene, render_mesh
 from omnisyn_cli.scenes.mesh.texturing import papered_mesh, untextured_share, varied_mesh
 from omnisyn_cli.training.data import load_walk
