@@ -136,7 +136,7 @@ def export_onnx(checkpoint: Path, output: Path | None, **options: Any) -> None:
 
     The command refuses if ONNX Runtime and torch differ by more than 1e-4 of the largest value.
     """
-    from omnisyn_cli.training.publish import publish
+    from omnisyn_cli.training.checkpoint import publish
 
     output = output or checkpoint.parent
     for entry, difference in publish(checkpoint, output, **options):

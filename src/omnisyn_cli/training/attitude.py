@@ -20,7 +20,7 @@ from omnisyn_cli.geometry.sphere import UP, pixel_directions
 from omnisyn_cli.networks.attitude import AttitudeConfig, AttitudeNetwork
 from omnisyn_cli.networks.efficientnet import from_classifier
 from omnisyn_cli.runtime.models import ModelEntry
-from omnisyn_cli.training.publish import Part, noise, publish_parts
+from omnisyn_cli.training.checkpoint import noise, publish_parts
 from omnisyn_cli.training.scene_makers import SceneConfig, take_photograph
 
 # Rotations that turn an upright picture the ways it can be held; the first is upright.
@@ -38,7 +38,7 @@ def train_attitude(
     """Fit the weights on generated scenes, and add the network to a folder of models as ``attitude``.
 
     ``encoder`` has the weights of EfficientNet-Lite0. The entry's ``right`` is the share of held-out scenes whose
-    attitude is told. Errors: see :func:`omnisyn_cli.training.publish.publish_parts`.
+    attitude is told. Errors: see :func:`omnisyn_cli.training.checkpoint.publish_parts`.
     """
     network = AttitudeNetwork(AttitudeConfig()).eval()
     known = from_classifier(encoder)
@@ -52,9 +52,8 @@ def train_attitude(
     right = ((features[is_held_out] @ network.weights).argmax(dim=1) == 0).float().mean()
     network.weights.data = _fitted(features)
     size = network.config.size
-    part = Part("attitude", "attitude", network, size, noise(network, size))
     made = publish_parts(
-        [part], folder, training=f"{len(pictures)} generated scenes; the encoder ImageNet", licence="Apache-2.0",
+        [("attitude", "attitude", network, size, noise(network, size))], folder, training=f"{len(pictures)} generated scenes; the encoder ImageNet", licence="Apache-2.0",
         metrics={"right": float(right)}, overwrite=overwrite,
     )  # fmt: skip
     return made[0][0]

@@ -21,7 +21,7 @@ from omnisyn_cli.poses.registration import features, robust
 from omnisyn_cli.poses.registration.features import Features, Grey, LevelledFeatures, Matches, Picture, Usable
 from omnisyn_cli.poses.registration.least_squares import refine_pose
 from omnisyn_cli.poses.registration.robust import Estimate, Verticals
-from omnisyn_cli.stereo.dense_agreement import dense_agreement
+from omnisyn_cli.stereo.disparity import dense_agreement
 from omnisyn_cli.types import View
 
 # Agreeing matches, and their share, from which on no more are looked for. With fewer a pose is often off by a degree,
@@ -29,7 +29,7 @@ from omnisyn_cli.types import View
 ENOUGH_INLIERS, ENOUGH_SHARE = 60, 0.25
 
 # Share of its matches that a direction to the other side needs to be tried, and how much better pictures have to agree
-# with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`).
+# with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.disparity`).
 MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 
 # How unlikely such a direction has to be by chance. (In a real corridor of equal doors pictures agreed 2.8 times better
