@@ -53,7 +53,8 @@ def train_attitude(
     network.weights.data = _fitted(features)
     size = network.config.size
     made = publish_parts(
-        [("attitude", "attitude", network, size, noise(network, size))], folder, training=f"{len(pictures)} generated scenes; the encoder ImageNet", licence="Apache-2.0",
+        [("attitude", "attitude", network, size, noise(network, size))], folder,
+        training=f"{len(pictures)} generated scenes; the encoder ImageNet", licence="Apache-2.0",
         metrics={"right": float(right)}, overwrite=overwrite,
     )  # fmt: skip
     return made[0][0]
