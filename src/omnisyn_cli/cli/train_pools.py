@@ -214,7 +214,7 @@ def attitude(
 ) -> None:
     """Train the network that tells pictures that are upside down or rolled, and write it to FOLDER."""
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.training.attitude import train_attitude
+    from omnisyn_cli.training.attitudes import train_attitude
 
     weights = _encoder(encoder)
     if weights is None:
