@@ -44,9 +44,8 @@ def write_synsin_models(folder: Path) -> Path:
     import torch
 
     from omnisyn_cli.networks.synsin import SynSinConfig
-    from omnisyn_cli.training.checkpoint import save_checkpoint
+    from omnisyn_cli.training.checkpoint import publish, save_checkpoint
     from omnisyn_cli.training.loop import Trainer
-    from omnisyn_cli.training.publish import publish
     from omnisyn_cli.training.tasks import TrainConfig
 
     tiny = SynSinConfig("tiny", TINY_SIZE, features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4, points=8)

@@ -21,7 +21,7 @@ MOST_ENTRIES = 24  # In the package itself: more rooms than that and nobody find
 # Modules that may import torch at their top.
 TORCH = (
     "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation",
-    "omnisyn_cli.render.rasterize_torch", "omnisyn_cli.baselines.soft_points_torch",
+    "omnisyn_cli.render.rasterize_torch",
 )  # fmt: skip
 ONNX = ("omnisyn_cli.runtime", "omnisyn_cli.networks", "omnisyn_cli.training")
 

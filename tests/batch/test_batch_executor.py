@@ -97,7 +97,7 @@ def test_the_most_expensive_group_begins_first(jobs):
 
 def run_tricks(folder: Path, *tricks: tuple[str, Any], workers: int = 2) -> dict[str, Outcome]:
     jobs = [Job(str(number), trick, float(-number)) for number, trick in enumerate(tricks)]
-    executor = LocalExecutor(Work(TRICKS, str(folder)), workers, 1)
+    executor = LocalExecutor(Work(TRICKS, (str(folder),)), workers, 1)
     return {outcome.job.key: outcome for outcome in run_jobs(jobs, executor)}
 
 
@@ -146,7 +146,7 @@ def test_no_job_needs_no_worker():
 
 @pytest.mark.skipif(not CAN_KILL, reason="looks at processes of Linux")
 def test_whoever_stops_listening_leaves_no_process_behind(tmp_path):
-    executor = LocalExecutor(Work(TRICKS, str(tmp_path)), 2, 1)
+    executor = LocalExecutor(Work(TRICKS, (str(tmp_path),)), 2, 1)
     outcomes = run_jobs([Job("0", ("echo", 0)), Job("1", ("sleep", 600)), Job("2", ("sleep", 600))], executor)
     pid = next(outcomes).answer.value[0]
     outcomes.close()

@@ -6,7 +6,6 @@ import math
 import os
 import platform
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from omnisyn_cli.batch import interpolations, provenance
 from omnisyn_cli.batch.batch_runner import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.batch.executor import Work
 from omnisyn_cli.batch.folder import attempt_folder, open_staging_dir, remove_leftovers, write_outputs
-from omnisyn_cli.batch.interpolations import Interpolator, WorkerSettings
+from omnisyn_cli.batch.interpolations import Interpolator
 from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.errors import InputError, OutputPathError, WriteError
 from omnisyn_cli.fusion.geometric import GeometricFuser
@@ -44,8 +43,8 @@ from synthesis_samples import as_bytes, ws_psnr
 def in_this_process(monkeypatch):
     """No processes: what they add is tested with the engine and with the command."""
 
-    def inline(settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineExecutor:
-        return InlineExecutor(Work(batch_module.INTERPOLATOR, settings(1)))
+    def inline(place: tuple[Path, str], options: BatchOptions, jobs: int) -> InlineExecutor:
+        return InlineExecutor(Work(batch_module.INTERPOLATOR, (*place, 1)))
 
     monkeypatch.setattr(batch_module, "make_executor", inline)
 
@@ -216,8 +215,7 @@ def installed(tmp_path, monkeypatch):
     folder = tmp_path / "models"
     folder.mkdir()
     install(folder)
-    for module in (models, provenance):
-        monkeypatch.setattr(module, "models_folder", lambda: folder)
+    monkeypatch.setattr(models, "models_folder", lambda: folder)
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     fuser = lambda name, settings, **_: GeometricFuser(settings.size, threads=1)  # noqa: E731
     monkeypatch.setattr("omnisyn_cli.pipeline.factory.make_fuser", fuser)
@@ -269,7 +267,7 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(tmp_path, insta
     jobs = read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
     (tmp_path / "out").mkdir()
     with open_staging_dir(tmp_path / "out") as staging:
-        work = Interpolator(WorkerSettings(tmp_path / "out", staging, 1))
+        work = Interpolator(tmp_path / "out", staging, 1)
         for _ in range(2):
             for job in jobs:
                 work(job)
@@ -475,9 +473,9 @@ def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path):
     there, elsewhere = tmp_path / "there", tmp_path / "elsewhere"
     there.mkdir()
     with open_staging_dir(there) as staging:
-        seen = Interpolator(WorkerSettings(there, staging, 1))(job)
-        sent = Interpolator(WorkerSettings(elsewhere, staging, 1))(job)
-        other = Interpolator(WorkerSettings(there, "another", 1))(job)
+        seen = Interpolator(there, staging, 1)(job)
+        sent = Interpolator(elsewhere, staging, 1)(job)
+        other = Interpolator(there, "another", 1)(job)
     assert seen["files"] is None
     assert not elsewhere.exists()
     assert set(sent["files"]) == set(contents(there)) == set(other["files"])

@@ -18,7 +18,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from omnisyn_cli.evaluation.bench_run import computing
+from omnisyn_cli.evaluation.bench_settings import computing
 from omnisyn_cli.io import open_video
 from omnisyn_cli.io.ffmpeg_process import read_frames
 

@@ -9,8 +9,7 @@ import pytest
 from cli.cli_samples import Omnisyn, listing, write_pair
 from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.evaluation import bench_settings
-from omnisyn_cli.evaluation.bench_run import BenchRun
-from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob
+from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob, BenchRun
 from omnisyn_cli.evaluation.datasets import FORMATS
 from omnisyn_cli.interpolation.planning.figures import FIGURES, FRAME_STAGES, Figures, read_table
 from omnisyn_cli.pipeline.presets import SCALE

@@ -1,16 +1,12 @@
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from tests.runtime.test_monocular_session import network
 
 from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
-from omnisyn_cli.cli.models import models
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.fusions import FUSIONS
@@ -29,18 +25,16 @@ from omnisyn_cli.training.checkpoint import save_checkpoint
 from omnisyn_cli.training.tasks import TASKS
 
 
-def test_what_the_presets_need_is_shipped_whole():
-    result = CliRunner().invoke(models, ["--json"])
-    assert result.exit_code == 0, result.output
-    entries = {entry["name"]: entry for entry in json.loads(result.stdout)}
+def test_what_the_presets_need_is_shipped_whole(omnisyn):
+    entries = {entry["name"]: entry for entry in omnisyn.json("models")}
     assert {preset.config.depth.model for preset in PRESETS.values()} <= entries.keys()
     assert {fusion.model for fusion in FUSIONS.values() if fusion.model} <= entries.keys()
     for entry in entries.values():
         assert (models_folder() / entry["file"]).stat().st_size < 16 * 2**20
 
 
-def test_the_table_of_bundled_networks_fits_a_terminal():
-    lines = CliRunner().invoke(models).output.splitlines()
+def test_the_table_of_bundled_networks_fits_a_terminal(omnisyn):
+    lines = omnisyn.made("models").out.splitlines()
     entries = read_manifest().values()
     assert max(map(len, lines)) <= 100
     table = lines[: len(entries) + 1]
@@ -71,23 +65,19 @@ def test_what_model_takes_is_said_and_nothing_else_is_taken(tmp_path, omnisyn):
             assert f"got '{choice[-1]}'" in omnisyn.ended(3, *words).err
 
 
-def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
+def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path, omnisyn):
     (tmp_path / "a.onnx").write_bytes(b"weights")
     digest = sha256_of(tmp_path / "a.onnx")
     entry = ModelEntry("a", "refine", "v", "a.onnx", digest, (2, 4), 7, "scenes", "MIT", {"delta_25": 0.5})
     (tmp_path / MANIFEST).write_text(manifest_text({"a": entry}), encoding="utf-8")
-    result = CliRunner().invoke(models, [str(tmp_path)])
-    assert result.output.splitlines() == [
+    assert omnisyn.quiet("models", tmp_path).out.splitlines() == [
         "name  role    size  parameters  hours  purpose",
         "a     refine  4x2   7           -",
     ]
     (tmp_path / "a.onnx").write_bytes(b"other weights")
-    with pytest.raises(InputError, match="sha256"):
-        CliRunner().invoke(models, [str(tmp_path)], catch_exceptions=False)
-
-
-def test_an_empty_folder_says_how_models_are_made(tmp_path):
-    assert "export-onnx" in CliRunner().invoke(models, [str(tmp_path)]).output
+    assert "sha256" in omnisyn.refused("models", tmp_path)
+    (tmp_path / MANIFEST).unlink()
+    assert "export-onnx" in omnisyn.quiet("models", tmp_path).out
 
 
 @pytest.fixture

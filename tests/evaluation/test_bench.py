@@ -17,9 +17,15 @@ from hall_samples import damage, hall_pair, run, write_halls
 
 from omnisyn_cli.compute.jit import kernel, when_compiling
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import bench_run, bench_settings
-from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
-from omnisyn_cli.evaluation.bench_settings import BenchJob, make_scenes, plan_bench, run_bench
+from omnisyn_cli.evaluation import bench_settings
+from omnisyn_cli.evaluation.bench_settings import (
+    BenchJob,
+    BenchRun,
+    make_scenes,
+    measure_setting,
+    plan_bench,
+    run_bench,
+)
 from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.evaluation.datasets.sources import choose_pairs
 from omnisyn_cli.evaluation.methods import find_method
@@ -66,11 +72,11 @@ def test_accuracy_is_what_the_evaluation_measures(tmp_path, method):
 def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path):
     """A quarter of the pixels costs accuracy, and the true frame itself scores the best at its own size."""
     pair = hall_pair(tmp_path)
-    depths = KnownDepth()(*bench_run.load_pair(pair).views)
+    depths = KnownDepth()(*bench_settings.load_pair(pair).views)
     folder, ends = tmp_path / "hall", (pair.first.image, pair.second.image)
     clip = InterpolationJob(ends, folder / "poses.json", tmp_path / "frames", frames=3, threads=1)
     small, same, large = (
-        np.mean(bench_run._scores(pair, depths, plan_interpolation(replace(clip, size=(rows, 2 * rows)))))
+        np.mean(bench_settings._scores(pair, depths, plan_interpolation(replace(clip, size=(rows, 2 * rows)))))
         for rows in (32, 64, 128)
     )
     assert small < same - 1.0
@@ -200,28 +206,30 @@ class Deadly:
 
 def test_time_and_memory_are_those_of_the_process():
     held = np.ones(32 << 20, np.uint8)
-    peak = bench_run.peak_memory()
+    peak = bench_settings.peak_memory()
     assert peak is None or peak > held.nbytes
 
 
 def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(tmp_path, monkeypatch):
     pair = hall_pair(tmp_path / "data")
     seconds = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0, "render": 6.0, "fuse": 2.0, "total": 20.0}
-    monkeypatch.setattr(bench_run, "run_interpolation", lambda plan, estimator, now: SimpleNamespace(seconds=seconds))
+    monkeypatch.setattr(
+        bench_settings, "run_interpolation", lambda plan, estimator, now: SimpleNamespace(seconds=seconds)
+    )
     ends = (pair.first.image, pair.second.image)
     plan = plan_interpolation(InterpolationJob(ends, ends[0].parent / "poses.json", tmp_path / "clip.mp4"))
     of_pair = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0}
     of_frame = {"render": 1.5, "fuse": 0.5, "encode": 1.0}
-    assert bench_run._clip(plan, KnownDepth(), 4) == of_pair | of_frame
+    assert bench_settings._clip(plan, KnownDepth(), 4) == of_pair | of_frame
 
 
 def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended():
-    begin = bench_run.computing()
+    begin = bench_settings.computing()
     subprocess.run([sys.executable, "-c", "sum(range(3_000_000))"], check=True)
-    after = bench_run.computing()
+    after = bench_settings.computing()
     assert after > begin + 0.01
     time.sleep(0.2)
-    assert bench_run.computing() < after + 0.1
+    assert bench_settings.computing() < after + 0.1
 
 
 def test_scenes_are_made_once(tmp_path):

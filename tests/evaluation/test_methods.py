@@ -1,7 +1,8 @@
-"""The methods: what they are by definition, on pictures where the answer is known."""
+"""The methods: what they are by definition, on pictures where the answer is known; what their parameters change."""
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hall_samples import SIZE, loaded_hall
 
 from omnisyn_cli.baselines.cross_fade import optical_flow
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation import methods
 from omnisyn_cli.evaluation.methods import (
     METHODS,
@@ -20,11 +21,18 @@ from omnisyn_cli.evaluation.methods import (
     find_method,
     find_methods,
 )
+from omnisyn_cli.evaluation.simulated_prior import SimulatedModel
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.geometry.resize import resize_area
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig
+from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
+from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis.methods import Pair
+from omnisyn_cli.stereo.expected_depth import NETWORK_SIZE
+from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import Frame
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
@@ -46,8 +54,17 @@ def pictures(name: str, pair: LoadedPair, path: list[Waypoint] | None = None) ->
     return [replace(frame, image=frame.image.copy()) for frame in shown]
 
 
+def images(name: str, pair: LoadedPair, *views: View) -> np.ndarray:
+    return np.stack([picture.image for picture in pictures(name, replace(pair, views=views or pair.views))])
+
+
 def score(name: str, pair: LoadedPair) -> float:
-    return float(np.mean([ws_psnr(p.image, t.image) for p, t in zip(pictures(name, pair), pair.truths, strict=True)]))
+    return float(np.mean([ws_psnr(p, t.image) for p, t in zip(images(name, pair), pair.truths, strict=True)]))
+
+
+def misled(view: View, factor: float) -> View:
+    """The view with wrong depth: everything is nearer by a factor."""
+    return replace(view, known_depth=replace(view.known_depth, inverse_depth=factor * view.known_depth.inverse_depth))
 
 
 def turned_views(columns: int) -> tuple[View, View]:
@@ -94,23 +111,21 @@ def test_pictures_too_small_for_flow_are_faded():
 
 def test_the_first_view_alone_does_not_depend_on_the_second(hall):
     first, second = hall.views
-    nearer = replace(second.known_depth, inverse_depth=2 * second.known_depth.inverse_depth)
-    other = replace(hall, views=(first, replace(second, image=1 - second.image, known_depth=nearer)))
+    other = replace(hall, views=(first, misled(replace(second, image=1 - second.image), 2.0)))
     made, others = (at_work("oracle-depth:views=1", pair) for pair in (hall, other))
     for truth in hall.truths:
         image = made.frame(truth.waypoint).image
         np.testing.assert_allclose(image, others.frame(truth.waypoint).image, atol=1e-5)
         np.testing.assert_array_equal(made.inverse_depth(truth.waypoint), others.inverse_depth(truth.waypoint))
         assert ws_psnr(image, truth.image) > 40
+    assert score("oracle-depth", hall) > score("oracle-depth:views=1", hall)
+    assert np.abs(images("oracle-depth", hall) - images("oracle-depth", other)).max() > 0.1
 
 
 def test_only_the_oracle_sees_the_true_depth(hall, monkeypatch):
     """Estimators get views without it, and what is made of lies about it is a worse picture."""
-    lies = tuple(
-        replace(v, known_depth=replace(v.known_depth, inverse_depth=3 * v.known_depth.inverse_depth))
-        for v in hall.views
-    )
-    assert score("oracle-depth", replace(hall, views=lies)) < score("oracle-depth", hall) - 10
+    lies = replace(hall, views=tuple(misled(view, 3.0) for view in hall.views))
+    assert score("oracle-depth", lies) < score("oracle-depth", hall) - 10
     seen = []
 
     def estimator(first: View, second: View) -> None:
@@ -160,10 +175,18 @@ def test_all_are_those_of_the_table_and_lists_keep_their_order():
     assert all(method.description for method in METHODS.values())
 
 
-def test_a_preset_without_its_network_is_unavailable_and_says_which(hall, monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("none installed", ("omnisyn-balanced", "omnisyn-two-pass", "omnisyn-paper", "first-view-only")),
+        ("'synsin-depth'", ("monocular", "synsin", "synsin-2view")),
+        (FUSIONS["network"].model, ("oracle-depth:fusion=network",)),
+    ],
+)
+def test_a_method_without_its_network_is_unavailable_and_says_which(hall, monkeypatch, words, names):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    for name in ("omnisyn-balanced", "omnisyn-two-pass", "omnisyn-paper", "first-view-only"):
-        with pytest.raises(MethodUnavailableError, match="none installed"):
+    for name in names:
+        with pytest.raises(MethodUnavailableError, match=words):
             at_work(name, hall)
 
 
@@ -189,3 +212,103 @@ def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(hall
     other = replace(method, config=RunConfig(DepthSource("matching", 256)))
     MethodAtWork(other, hall.views, threads=1, known=known)(hall.size, clock)
     assert len(calls) == 2
+
+
+def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geometric", **options: Any) -> np.ndarray:
+    """What the product makes of true depth."""
+    fuser = make_fuser(fusion, FuserSettings(pair.size, threads=1))
+    method = SurfaceMethod(KnownDepth(), SynthesisOptions(pair.size, threads=1, **options), fuser)
+    made = method.prepare(0, views)
+    return np.stack([made.frame(truth.waypoint).image.copy() for truth in pair.truths])
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_renderer_can_be_chosen_for_any_method(hall, renderer):
+    expected = of_product(hall, hall.views, renderer=RENDERERS[renderer].load())
+    np.testing.assert_array_equal(images(f"oracle-depth:renderer={renderer}", hall), expected)
+
+
+def test_the_network_fuses_what_the_views_contradict(hall):
+    """With wrong depth the views contradict each other; then the pictures are those of the product's fuser."""
+    views = misled(hall.views[0], 1.5), hall.views[1]
+    corrected = images("oracle-depth:fusion=network", hall, *views)
+    np.testing.assert_array_equal(corrected, of_product(hall, views, "network"))
+    assert np.abs(corrected - images("oracle-depth", hall, *views)).max() > 0.01
+
+
+@pytest.mark.parametrize(("fallback", "options"), [("soft", {"soften": True}), ("crossfade", {"cross_fade": True})])
+def test_pairs_of_low_confidence_get_what_the_product_gives_them(hall, fallback, options):
+    views = misled(hall.views[0], 4.0), hall.views[1]
+    found = images(f"oracle-depth:fallback={fallback}", hall, *views)
+    np.testing.assert_array_equal(found, of_product(hall, views, **options))
+    assert np.abs(found - images("oracle-depth:fallback=none", hall, *views)).max() > 0.1
+
+
+def test_what_moves_with_the_camera_is_not_seen_if_it_is_left_out(hall):
+    capped = []
+    for view in hall.views:
+        image = view.image.copy()
+        image[-len(image) // 10 :] = (1.0, 0.0, 1.0)
+        capped.append(replace(view, image=image))
+    kept, left_out = (images(f"oracle-depth{each}", hall, *capped) for each in ("", ":nadir=auto"))
+    is_cap = [each[:, -4:, :, 1] < each[:, -4:, :, [0, 2]].min(axis=-1) - 0.3 for each in (kept, left_out)]
+    assert is_cap[0].mean() > 0.8
+    assert is_cap[1].mean() < 0.3
+
+
+def test_results_of_the_fusion_network_depend_on_it_and_others_do_not():
+    digest = models.read_manifest()[FUSIONS["network"].model].sha256
+    assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
+    assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
+    assert digest in find_method("omnisyn-balanced").ingredients()
+    for name in ("matching", "omnisyn-fast", "omnisyn-balanced:fusion=geometric", "oracle-depth:views=1"):
+        assert digest not in find_method(name).ingredients()
+
+
+def test_with_nothing_learned_in_it_the_product_needs_no_network(hall, monkeypatch):
+    monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
+    plain = images("omnisyn-fast:model=none:fusion=geometric", hall)
+    assert np.isfinite(plain).all()
+    assert plain.std() > 0.05
+    assert find_method("omnisyn-balanced:model=none:prior=none:fusion=geometric").config.networks == ()
+    with pytest.raises(MethodUnavailableError, match="completion-balanced"):
+        images("omnisyn-fast", hall)
+
+
+def test_a_simulated_prior_knows_the_truth_up_to_its_error(hall):
+    """Up to the noise, which has the deviation that was asked for, and only where the truth is known."""
+    views = hall.views
+    answer = SimulatedModel(views, 0.1)(replace(views[0], known_depth=None))
+    directions = pixel_directions(*NETWORK_SIZE)
+    truth = resize_area(views[0].known_depth.inverse_depth, NETWORK_SIZE)
+    error = np.log(answer.at(directions @ views[0].pose.rotation.T).values[0]) - np.log(truth)
+    assert np.std(error[truth > 0]) == pytest.approx(0.1, abs=0.02)
+    with pytest.raises(OmnisynError, match="true depth"):
+        SimulatedModel([replace(view, known_depth=None) for view in views], 0.1)(views[0])
+
+
+@pytest.mark.parametrize(
+    ("parameter", "prior", "kind"),
+    [
+        ("prior=simulated(0.1)", "simulated(0.1)", ""),
+        ("prior=a.onnx:prior-kind=perspective+depth", "a.onnx", "perspective,depth"),
+    ],
+)  # fmt: skip
+def test_a_prior_can_be_chosen(parameter, prior, kind):
+    depth = find_method(f"omnisyn-balanced:{parameter}").config.depth
+    assert (depth.prior, depth.prior_kind) == (prior, kind)
+
+
+def test_one_view_is_not_fused():
+    with pytest.raises(InputError, match="got both in 'oracle-depth:views=1:fusion=network'"):
+        find_method("oracle-depth:views=1:fusion=network")
+
+
+@pytest.mark.parametrize(
+    "parameter", ["fusion=mean", "fusion=", "model=none", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
+)
+def test_what_is_no_parameter_is_refused(parameter):
+    with pytest.raises(
+        InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, fallback=soft"
+    ):
+        find_method(f"oracle-depth:{parameter}")

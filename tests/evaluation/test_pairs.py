@@ -9,7 +9,7 @@ from hall_samples import run, write_halls
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets.layouts import tours_of_photographs
 from omnisyn_cli.evaluation.datasets.sources import Scene, SceneFrame, choose_pairs, in_tours
-from omnisyn_cli.evaluation.metrics.photographs import CAMERA_DEG, comparable_pixels, photograph_scores
+from omnisyn_cli.evaluation.metrics.image import CAMERA_DEG, comparable_pixels, photograph_scores
 from omnisyn_cli.geometry.pose import Pose, distance_between
 from omnisyn_cli.io import write_image
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path

@@ -6,10 +6,8 @@ import os
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from io_samples import smooth_image, write_with
 
-from omnisyn_cli.cli.info import info
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import open_video, write_depth
@@ -84,23 +82,20 @@ def test_poses_are_described(folder):
     assert [(row["image_exists"], row["depth_exists"]) for row in seen["panoramas"]] == [(True, True), (False, None)]
 
 
-def test_zero_has_no_sign(tmp_path):
+def test_zero_has_no_sign(tmp_path, omnisyn):
     """As the first place of a tour has by its latitude."""
     place = {"latitude": 48.0, "longitude": 11.0, "altitude": 5.0, "heading": 0.0}
     (tmp_path / "poses.json").write_text(json.dumps({"version": 1, "panoramas": {"a.jpg": place}}))
-    assert "position 0, 0, 0, image" in CliRunner().invoke(info, [str(tmp_path / "poses.json")]).stdout
+    assert "position 0, 0, 0, image" in omnisyn("info", tmp_path / "poses.json").out
 
 
-def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folder):
+def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folder, omnisyn):
     (folder / "poses").mkdir()
     text = (folder / "poses.json").read_text().replace("a_depth.exr", "../a_depth.exr")
     (folder / "poses" / "poses.json").write_text(text)
-    refused = CliRunner().invoke(info, [str(folder / "poses" / "poses.json")])
-    assert refused.exit_code == 3
-    assert "--allow-outside" in refused.stderr
-    allowed = CliRunner().invoke(info, ["--json", "--allow-outside", str(folder / "poses" / "poses.json")])
-    assert allowed.exit_code == 0
-    assert json.loads(allowed.stdout)[0]["panoramas"][0]["depth_exists"] is True
+    words = ("info", folder / "poses" / "poses.json")
+    assert "--allow-outside" in omnisyn.ended(3, *words).err
+    assert omnisyn.json(*words, "--allow-outside")[0]["panoramas"][0]["depth_exists"] is True
 
 
 def test_a_video_is_described(folder):
@@ -112,23 +107,18 @@ def test_a_video_is_described(folder):
     assert seen["spherical"]["version_2"]
 
 
-def test_info_goes_on_after_errors_and_ends_with_exit_code_3(folder):
+def test_info_goes_on_after_errors_and_ends_with_exit_code_3(folder, omnisyn):
     (folder / "text.mp4").write_text("no video")
     write_with(folder / "tall.png", smooth_image(64, 32))
     names = ["none.png", "text.mp4", "tall.png", "a.jpg", "poses.json", "v.mp4", "a_depth.exr"]
-    result = CliRunner().invoke(info, [str(folder / name) for name in names])
-    assert result.exit_code == 3
-    assert "no such file" in result.stderr
-    assert "text.mp4: expected a video" in result.stderr
-    assert "usable: no" in result.stdout
-    assert "steps metres: 5" in result.stdout
+    result = omnisyn.ended(3, "info", *(folder / name for name in names))
+    assert "no such file" in result.err
+    assert "text.mp4: expected a video" in result.err
+    assert "usable: no" in result.out
+    assert "steps metres: 5" in result.out
 
 
-def test_info_writes_json_that_json_can_read(folder):
-    names = ["a.jpg", "poses.json", "v.mp4", "a_depth.exr"]
-    result = CliRunner().invoke(info, ["--json", *(str(folder / name) for name in names)])
-    assert result.exit_code == 0
-    assert [seen["kind"] for seen in json.loads(result.stdout)] == ["panorama", "poses", "video", "depth"]
-    broken_file_error = CliRunner().invoke(info, ["--json", str(folder / "none")])
-    assert broken_file_error.exit_code == 3
-    assert json.loads(broken_file_error.stdout)[0]["ok"] is False
+def test_info_writes_json_that_json_can_read(folder, omnisyn):
+    found = omnisyn.json("info", *(folder / name for name in ("a.jpg", "poses.json", "v.mp4", "a_depth.exr")))
+    assert [seen["kind"] for seen in found] == ["panorama", "poses", "video", "depth"]
+    assert json.loads(omnisyn.ended(3, "info", "--json", folder / "none").out)[0]["ok"] is False

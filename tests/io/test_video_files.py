@@ -148,7 +148,7 @@ def fake_ffmpeg(folder: Path, script: str) -> list[str]:
 
 def write_many(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, count: int = 300) -> None:
     program = fake_ffmpeg(folder, script)
-    monkeypatch.setattr("omnisyn_cli.io.video.encoder_command", lambda path, settings: [*program, str(path)])
+    monkeypatch.setattr("omnisyn_cli.io.encoders.encoder_command", lambda path, settings: [*program, str(path)])
     (folder / "out").mkdir()
     with open_video(folder / "out" / "a.mp4", size=(32, 64), fps=10) as sink:
         for _ in range(count):

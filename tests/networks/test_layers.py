@@ -10,7 +10,7 @@ from depth_samples import TINY
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_angles, pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
+from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0
 from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
 from omnisyn_cli.networks.guided_depth import (
@@ -240,25 +240,6 @@ def test_onnx_runtime_says_of_guided_depth_what_torch_says(tmp_path):
 def test_the_shipped_size_has_few_parameters():
     network = GuidedDepthNetwork(GUIDED_DEPTH_VARIANTS["lite0"])
     assert sum(parameter.numel() for parameter in network.parameters()) < 6_000_000
-
-
-def test_weights_of_the_classifier_are_taken_over_by_name():
-    encoder = EfficientNetLite0()
-    names = {"expand": "_expand_conv", "depthwise": "_depthwise_conv", "project": "_project_conv"}
-    norms = {"expand_norm": "_bn0", "depthwise_norm": "_bn1", "project_norm": "_bn2"}
-    published = {"_fc.weight": torch.zeros(1), "_bn0.num_batches_tracked": torch.zeros(())}
-    for name, value in encoder.state_dict().items():
-        path = name.split(".")
-        leaf = {"mean": "running_mean", "variance": "running_var"}.get(path[-1], path[-1])
-        if path[0] == "blocks":
-            published[f"_blocks.{path[1]}.{(names | norms)[path[2]]}.{leaf}"] = torch.rand_like(value)
-        else:
-            published[f"{ {'stem': '_conv_stem', 'stem_norm': '_bn0'}[path[0]] }.{leaf}"] = torch.rand_like(value)
-    found = from_classifier(published)
-    encoder.load_state_dict(found)
-    torch.testing.assert_close(encoder.blocks[3].expand_norm.mean, published["_blocks.3._bn0.running_mean"])
-    with pytest.raises(ValueError, match="another network"):
-        from_classifier({"_conv_stem.weight": torch.zeros(3)})
 
 
 def test_convex_upsampling_stays_within_the_neighbourhood_and_keeps_constants():

@@ -13,6 +13,7 @@ from omnisyn_cli.fusion.warp_candidates import MIN_CANDIDATE_WEIGHT
 from omnisyn_cli.networks import completion, fusion
 from omnisyn_cli.networks.completion import FILLED_CHANNEL, CompletionNetwork, CompletionPrediction, SphereAttention
 from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
+from omnisyn_cli.networks.interface import RefinementUNet, RefinementUNetConfig
 from omnisyn_cli.networks.layers import LEAK
 from omnisyn_cli.networks.paper import upsample_linear
 from omnisyn_cli.networks.synsin import (
@@ -24,7 +25,6 @@ from omnisyn_cli.networks.synsin import (
     SynSinNetwork,
     inverse_depth_of,
 )
-from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 every_network = pytest.mark.parametrize(
     "config", [COMPLETION, FUSION, PAINTING], ids=["completion", "fusion", "painting"]

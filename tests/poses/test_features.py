@@ -24,10 +24,11 @@ from omnisyn_cli.poses.floor import (
     level_of_points,
     spread_above,
 )
+from omnisyn_cli.poses.gravity import find_lines, find_vertical
 from omnisyn_cli.poses.registration.features import Matches, find_features, grey_of, match_features
 from omnisyn_cli.poses.registration.least_squares import angle_between, direction_error, rotation_error
 from omnisyn_cli.poses.registration.robust import estimate_relative_pose
-from omnisyn_cli.poses.registration.scan import find_lines, find_vertical, scan_panorama
+from omnisyn_cli.poses.registration.scan import scan_panorama
 from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.types import DepthEstimate, View
 

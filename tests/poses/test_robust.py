@@ -15,7 +15,7 @@ from omnisyn_cli.poses.registration.diagnosis import diagnose
 from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import direction_error, refine_pose, relative_pose, rotation_error
 from omnisyn_cli.poses.registration.minimal_solvers import essential_candidates, poses_of_essential
-from omnisyn_cli.stereo.dense_agreement import dense_agreement
+from omnisyn_cli.stereo.disparity import dense_agreement
 from omnisyn_cli.types import View
 
 

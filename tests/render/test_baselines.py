@@ -9,13 +9,13 @@ from render_samples import POSES, WHOLE, moved, random_pose, rough, smooth, sphe
 
 from omnisyn_cli.baselines.points import PointRenderer
 from omnisyn_cli.baselines.soft_points import MIN_DIVISOR_OPACITY, Cloud, even_points, list_visible, splat
-from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.baselines.two_pass import rasterize_two_pass, triangles_without_caps
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.renderer import RendererInputs
+from omnisyn_cli.training.synsin import splat_torch
 
 
 def noise(height: int, width: int, channels: int = 3, seed: int = 50) -> np.ndarray:

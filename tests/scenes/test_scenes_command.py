@@ -6,11 +6,9 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scene_samples import clearance
 
-from omnisyn_cli.cli.scenes import KINDS, scenes
-from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.cli.scenes import KINDS
 from omnisyn_cli.evaluation import scene_files as suite_module
 from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.evaluation.datasets.sources import choose_pairs
@@ -22,12 +20,11 @@ from omnisyn_cli.scenes.paths import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, lo
 
 
 def make(*arguments):
-    command = ["make", *(str(argument) for argument in arguments), "--size", "64x32", "--threads", "1", "-q"]
-    return CliRunner().invoke(scenes, command, catch_exceptions=True)
+    return "scenes", "make", *arguments, "--size", "64x32", "--threads", 1, "-q"
 
 
-def test_a_scene_reads_back(tmp_path):
-    assert make(tmp_path / "scene", "--kind", "room", "--frames", 2, "--baseline", 0.5).exit_code == 0
+def test_a_scene_reads_back(tmp_path, omnisyn):
+    omnisyn.made(*make(tmp_path / "scene", "--kind", "room", "--frames", 2, "--baseline", 0.5))
     poses = read_poses(tmp_path / "scene" / "poses.json")
     assert list(poses.panoramas) == ["0000.png", "0001.png"]
     ends = [panorama.pose.position for panorama in poses.panoramas.values()]
@@ -37,29 +34,29 @@ def test_a_scene_reads_back(tmp_path):
     assert json.loads((tmp_path / "scene" / "poses.json").read_text())["version"] == 1
 
 
-def test_many_scenes_get_folders_of_their_own(tmp_path):
-    assert make(tmp_path / "set", "--count", 2, "--frames", 1, "--no-depth").exit_code == 0
+def test_many_scenes_get_folders_of_their_own(tmp_path, omnisyn):
+    omnisyn.made(*make(tmp_path / "set", "--count", 2, "--frames", 1, "--no-depth"))
     names = sorted(str(path.relative_to(tmp_path / "set")) for path in (tmp_path / "set").rglob("*.*"))
     assert names == [f"street_000{k}/{name}" for k in (1, 2) for name in ("0000.png", "poses.json")]
 
 
-def test_what_exists_is_kept_unless_overwriting_is_allowed(tmp_path):
-    make(tmp_path / "scene", "--frames", 1, "--seed", 1)
+def test_what_exists_is_kept_unless_overwriting_is_allowed(tmp_path, omnisyn):
+    omnisyn.made(*make(tmp_path / "scene", "--frames", 1, "--seed", 1))
     before = (tmp_path / "scene" / "0000.png").read_bytes()
-    assert isinstance(make(tmp_path / "scene", "--frames", 1, "--seed", 2).exception, OutputPathError)
+    omnisyn.refused(*make(tmp_path / "scene", "--frames", 1, "--seed", 2))
     assert (tmp_path / "scene" / "0000.png").read_bytes() == before
-    assert make(tmp_path / "scene", "--frames", 1, "--seed", 2, "--overwrite").exit_code == 0
+    omnisyn.made(*make(tmp_path / "scene", "--frames", 1, "--seed", 2, "--overwrite"))
     assert (tmp_path / "scene" / "0000.png").read_bytes() != before
 
 
-def test_overwriting_touches_no_file_of_another_name(tmp_path):
+def test_overwriting_touches_no_file_of_another_name(tmp_path, omnisyn):
     """A folder of photographs has a poses.json too."""
     scene = tmp_path / "scene"
     (scene / "raw").mkdir(parents=True)
     others = [scene / "holiday.jpg", scene / "raw" / "0000.png", scene / ".hidden"]
     for path in [*others, scene / "poses.json"]:
         path.write_text("mine")
-    assert make(scene, "--frames", 1, "--overwrite").exit_code == 0
+    omnisyn.made(*make(scene, "--frames", 1, "--overwrite"))
     assert [path.read_text() for path in others] == ["mine"] * 3
     assert len(read_poses(scene / "poses.json").panoramas) == 1
     names = {"0000.png", "0000_depth.exr", "poses.json", "holiday.jpg", "raw", ".hidden"}
@@ -67,52 +64,49 @@ def test_overwriting_touches_no_file_of_another_name(tmp_path):
 
 
 @pytest.mark.parametrize("taken", ["0000.png", "0000_depth.exr", "poses.json"])
-def test_any_file_in_the_way_is_refused_before_anything_is_written(tmp_path, taken):
+def test_any_file_in_the_way_is_refused_before_anything_is_written(tmp_path, taken, omnisyn):
     (tmp_path / taken).write_text("mine")
-    assert isinstance(make(tmp_path, "--frames", 1).exception, OutputPathError)
+    omnisyn.refused(*make(tmp_path, "--frames", 1))
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
-def test_a_folder_in_the_way_is_never_replaced(tmp_path):
+def test_a_folder_in_the_way_is_never_replaced(tmp_path, omnisyn):
     (tmp_path / "0000.png").mkdir()
-    assert isinstance(make(tmp_path, "--frames", 1, "--overwrite").exception, OutputPathError)
-    assert [path.name for path in tmp_path.iterdir()] == ["0000.png"]
+    omnisyn.refused(*make(tmp_path, "--frames", 1, "--overwrite"))
 
 
-def test_files_of_other_names_are_no_obstacle(tmp_path):
+def test_files_of_other_names_are_no_obstacle(tmp_path, omnisyn):
     (tmp_path / "dear.txt").write_text("Dear")
-    assert make(tmp_path, "--frames", 1, "--no-depth").exit_code == 0
+    omnisyn.made(*make(tmp_path, "--frames", 1, "--no-depth"))
     assert {path.name for path in tmp_path.iterdir()} == {"dear.txt", "0000.png", "poses.json"}
 
 
-def test_a_file_is_no_folder(tmp_path):
+def test_a_file_is_no_folder(tmp_path, omnisyn):
     (tmp_path / "file").write_text("mine")
     for out in ("file", "file/scene"):
-        assert isinstance(make(tmp_path / out, "--overwrite").exception, OutputPathError)
+        omnisyn.refused(*make(tmp_path / out, "--overwrite"))
 
 
 @pytest.mark.parametrize("out", ["old", "new"])
-def test_a_failure_keeps_what_was_to_be_overwritten_and_leaves_nothing_behind(tmp_path, monkeypatch, out):
+def test_a_failure_keeps_what_was_to_be_overwritten_and_leaves_nothing_behind(tmp_path, monkeypatch, out, omnisyn):
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "0001.png").write_text("mine")
     monkeypatch.setattr("omnisyn_cli.scenes.render_panorama", Mock(side_effect=RuntimeError("out of light")))
-    assert isinstance(make(tmp_path / out, "--overwrite").exception, RuntimeError)
+    with pytest.raises(RuntimeError):
+        omnisyn(*make(tmp_path / out, "--overwrite"))
     assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["old", "0001.png"]
     assert (tmp_path / "old" / "0001.png").read_text() == "mine"
 
 
-def test_a_baseline_without_room_is_an_input_error(tmp_path):
-    assert isinstance(make(tmp_path / "scene", "--kind", "room", "--baseline", 900).exception, InputError)
-    assert list(tmp_path.iterdir()) == []
+def test_a_baseline_without_room_is_an_input_error(tmp_path, omnisyn):
+    omnisyn.refused(*make(tmp_path / "scene", "--kind", "room", "--baseline", 900))
 
 
-def test_names_must_fit_the_frames(tmp_path):
-    assert make(tmp_path / "scene", "--frames", 2, "--name", "a.png").exit_code == 2
-    twins = make(tmp_path / "scene", "--frames", 2, "--name", "a.png", "--name", "a.jpg")
-    assert isinstance(twins.exception, OutputPathError)
-    clash = make(tmp_path / "scene", "--frames", 2, "--name", "a.png", "--name", "a_depth.exr")
-    assert isinstance(clash.exception, OutputPathError)
-    assert list(tmp_path.iterdir()) == []
+def test_names_must_fit_the_frames(tmp_path, omnisyn):
+    named = make(tmp_path / "scene", "--frames", 2, "--name", "a.png")
+    omnisyn.misused(*named)
+    for twin in ("a.jpg", "a_depth.exr"):
+        omnisyn.refused(*named, "--name", twin)
 
 
 def test_every_kind_can_be_asked_for():
@@ -120,17 +114,14 @@ def test_every_kind_can_be_asked_for():
 
 
 @pytest.mark.parametrize("options", [["--count", "2", "--frames", "1"], ["--suite"]])
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path, monkeypatch, options):
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path, monkeypatch, options, omnisyn):
     monkeypatch.setattr("pathlib.Path.mkdir", Mock(side_effect=OSError(28, "No space left on device")))
-    error = CliRunner().invoke(scenes, ["make", str(tmp_path / "new"), "--size", "64x32", *options]).exception
-    assert isinstance(error, OutputPathError)
-    assert str(error).endswith("new: expected a folder for scenes, got 'No space left on device'; choose another place")
+    said = omnisyn.refused(*make(tmp_path / "new", *options))
+    assert "new: expected a folder for scenes, got 'No space left on device'; choose another place" in said
 
 
-def test_a_name_that_is_too_long_is_refused(tmp_path):
-    error = make(tmp_path / ("x" * 300) / "scene", "--frames", 1).exception
-    assert isinstance(error, OutputPathError)
-    assert "File name too long" in str(error)
+def test_a_name_that_is_too_long_is_refused(tmp_path, omnisyn):
+    assert "File name too long" in omnisyn.refused(*make(tmp_path / ("x" * 300) / "scene", "--frames", 1))
 
 
 POSES_SHA256 = "c13f327442a7aa68c9116086252862149caf00cf1960164983f519322565bc01"
@@ -200,24 +191,16 @@ def one_seed(monkeypatch):
     monkeypatch.setattr(paths, "SUITE_SEEDS", SUITE_SEEDS[1:])
 
 
-def make_suite(*arguments):
-    return CliRunner().invoke(scenes, ["make", *map(str, arguments)], catch_exceptions=True)
-
-
 @pytest.mark.usefixtures("one_seed")
-def test_the_command_writes_it_and_eval_reads_it(tmp_path):
-    done = make_suite(tmp_path / "suite", "--suite", "--size", "32x16", "--threads", 2)
-    assert done.exit_code == 0
-    assert "room-9000002-6m: not made, the scene has no room for 6 m" in done.output
+def test_the_command_writes_it_and_eval_reads_it(tmp_path, omnisyn):
+    words = ("scenes", "make", tmp_path / "suite", "--suite", "--size", "32x16", "--threads", 2)
+    assert "room-9000002-6m: not made, the scene has no room for 6 m" in omnisyn.made(*words).err
     pairs = [pair for source in find_scenes(tmp_path / "suite") for pair in choose_pairs(None)(source.read())]
     assert [pair.scene for pair in pairs] == [f"room-9000002-{b}m" for b in (1, 2, 4)]
     assert all(len(pair.between) == 3 and pair.first.depth is not None for pair in pairs)
-    assert isinstance(make_suite(tmp_path / "suite", "--suite", "--size", "32x16").exception, OutputPathError)
+    omnisyn.refused(*words)
 
 
 @pytest.mark.parametrize("options", [["--seed", 1], ["--frames", 3], ["--baseline", 2], ["--no-depth"]])
-def test_what_is_fixed_cannot_be_changed(tmp_path, options):
-    refused = make_suite(tmp_path / "suite", "--suite", *options)
-    assert refused.exit_code == 2
-    assert str(options[0]) in refused.output
-    assert not list(tmp_path.iterdir())
+def test_what_is_fixed_cannot_be_changed(tmp_path, options, omnisyn):
+    assert options[0] in omnisyn.misused("scenes", "make", tmp_path / "suite", "--suite", *options)

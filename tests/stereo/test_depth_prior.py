@@ -10,12 +10,10 @@ from tests.stereo.test_plane_sweep import texture, turn
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo import matching_estimator
-from omnisyn_cli.stereo.depth_prior import DepthPrior
-from omnisyn_cli.stereo.expected_depth import fill_as_expected, with_guided_priors
-from omnisyn_cli.stereo.expected_planes import expected_planes
+from omnisyn_cli.stereo.expected_depth import expected_planes, fill_as_expected, with_guided_priors
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.plane_sweep import sweep_directions
-from omnisyn_cli.stereo.rectify import rectify
+from omnisyn_cli.stereo.rectify import DepthPrior, rectify
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.types import View
 

@@ -8,10 +8,10 @@ from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo import costs
 from omnisyn_cli.stereo.filling import fill_with_planes, fitted_values, normal_equations
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
+from omnisyn_cli.stereo.matching_estimator import find_sky
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes, planes_from_second
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
-from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _smoothed_support
 
 SMALL = (48, 96)

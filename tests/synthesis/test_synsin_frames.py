@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
+from cli.cli_samples import pair_arguments
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.baselines.synsin import MonocularDepthEstimator, SynSin, SynSinSessions
 from omnisyn_cli.batch.manifest import read_manifest
-from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.evaluation.methods import MethodAtWork, find_method
@@ -206,18 +205,13 @@ def test_an_unknown_method_is_refused_and_missing_networks_are_named(tmp_path, m
         plan_interpolation(job)
 
 
-def test_a_dry_run_tells_the_plan_and_a_budget_is_refused(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    arguments = [*map(str, images), "--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "a.mp4")]
-    result = CliRunner().invoke(interpolate, [*arguments, "--method", "synsin-2view", "--dry-run", "--json"])
-    assert result.exit_code == 0, result.output
-    plan = json.loads(result.stdout)
+def test_a_dry_run_tells_the_plan_and_a_budget_is_refused(tmp_path: Path, omnisyn) -> None:
+    words = pair_arguments(tmp_path, write_hall(tmp_path, CHAIN[:2]), "a.mp4", "--method")
+    plan = omnisyn.json(*words, "synsin-2view", "--dry-run")
     assert (plan["method"], plan["preset"], plan["renderer"]) == ("synsin-2view", "", "soft points")
     assert "enlarges" in plan["notes"][0]
     assert not (tmp_path / "a.mp4").exists()
-    result = CliRunner().invoke(interpolate, [*arguments, "--method", "synsin", "--budget", "10"])
-    assert result.exit_code == 2
-    assert "--budget only with --method omnisyn" in result.output
+    assert "--budget only with --method omnisyn" in omnisyn.misused(*words, "synsin", "--budget", "10")
 
 
 def test_monocular_depth_is_a_source_like_others(tmp_path: Path) -> None:

@@ -3,10 +3,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 
-from omnisyn_cli.cli import main
-from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
     CONSISTENT_CHANNEL,
@@ -18,12 +15,11 @@ from omnisyn_cli.networks.completion import (
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training import losses
-from omnisyn_cli.training.checkpoint import load_network
+from omnisyn_cli.training.checkpoint import load_network, publish
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion, make_feature_scene
 from omnisyn_cli.training.data import list_scene_files, load_samples
 from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.losses import completion_loss, completion_scores
-from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.scene_makers import SceneConfig
 from omnisyn_cli.training.tasks import TrainConfig
 
@@ -113,38 +109,31 @@ def test_a_network_is_trained_and_published(tmp_path, pool):
     assert read_manifest(tmp_path / "models") == {"completion-tiny": entry}
 
 
-def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, pool, monkeypatch):
+@pytest.fixture
+def checkpoint(tmp_path, pool):
     folder = str(pool[0].parent)
-    checkpoint, models = tmp_path / "run" / "checkpoint.pt", tmp_path / "models"
     train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
+    return tmp_path / "run" / "checkpoint.pt"
+
+
+def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, checkpoint, monkeypatch):
+    models = tmp_path / "models"
     with pytest.raises(InputError, match=r"name without folders, got 'a/b'; choose another \(--name\)"):
         publish(checkpoint, models, name="a/b")
 
-    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("omnisyn_cli.training.checkpoint.largest_difference", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         publish(checkpoint, models)
     assert list(models.iterdir()) == []
 
 
-def test_a_compact_checkpoint_is_replaced_only_on_request(tmp_path, pool):
-    folder, small = str(pool[0].parent), tmp_path / "small.pt"
-    train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
+def test_a_compact_checkpoint_replaces_others_on_request_and_never_the_whole_one(tmp_path, checkpoint, omnisyn):
+    small, words = tmp_path / "small.pt", ("train", "compact", checkpoint, "-o")
     small.write_bytes(b"mine")
-    arguments = ["train", "compact", str(tmp_path / "run" / "checkpoint.pt"), "-o", str(small)]
-    for more, code in (([], 3), (["--overwrite"], 0)):
-        with pytest.raises(SystemExit) as left:
-            main([*arguments, *more])
-        assert left.value.code == code
-        assert (small.read_bytes() == b"mine") == (code != 0)
-
-
-def test_a_checkpoint_is_never_made_compact_in_its_own_place(tmp_path, pool):
-    folder, path = str(pool[0].parent), tmp_path / "run" / "checkpoint.pt"
-    train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
-    before = path.read_bytes()
-    with pytest.raises(SystemExit) as left:
-        main(["train", "compact", str(path), "-o", str(path), "--overwrite"])
-    assert (left.value.code, path.read_bytes() == before) == (3, True)
+    omnisyn.refused(*words, small)
+    omnisyn.refused(*words, checkpoint, "--overwrite")
+    omnisyn.made(*words, small, "--overwrite")
+    assert small.stat().st_size > len(b"mine")
 
 
 def test_scenes_for_another_network_are_refused(tmp_path, pool):
@@ -237,7 +226,6 @@ def test_scores_are_perfect_at_the_truth_and_tell_the_filled_map_apart():
     assert scores["confidence_error"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_command_trains_and_refuses_other_heights(tmp_path, pool):
-    arguments = ["completion", tmp_path / "run", "--pool", pool[0].parent, "--validation-pool", pool[0].parent]
-    result = CliRunner().invoke(train_command, [str(x) for x in (*arguments, "--height", 80)])
-    assert "multiple of 32" in result.output
+def test_the_command_refuses_other_heights(tmp_path, pool, omnisyn):
+    words = ("train", "completion", tmp_path / "run", "--pool", pool[0].parent, "--validation-pool", pool[0].parent)
+    assert "multiple of 32" in omnisyn.misused(*words, "--height", 80)

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from training_samples import make_walks
 
 from ball_samples import FIRST, SECOND, SIZE, ball
-from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.errors import InputError, OmnisynError, OutputPathError, WriteError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
@@ -103,38 +101,37 @@ def write_walk(folder, *, with_depth=True):
     write_poses(folder / "poses.json", entries)
 
 
-def test_a_folder_of_scenes_becomes_a_pool_once(tmp_path):
+def test_a_folder_of_scenes_becomes_a_pool_once(tmp_path, omnisyn):
     write_walk(tmp_path / "data" / "walk")
     write_walk(tmp_path / "data" / "blind", with_depth=False)
     (tmp_path / "data" / "broken").mkdir()
     (tmp_path / "data" / "broken" / "poses.json").write_text("{")
-    arguments = ["convert", str(tmp_path / "data"), str(tmp_path / "pool"), "--height", "64"]
-    result = CliRunner().invoke(train_command, arguments)
-    assert result.exit_code == 0, result.output
+    arguments = ("train", "convert", tmp_path / "data", tmp_path / "pool", "--height", 64)
+    said = omnisyn.made(*arguments).raw_err
     names = [path.name for path in list_scene_files(tmp_path / "pool")]
     assert names == ["walk-0.png-1.png.npz", "walk-1.png-2.png.npz"]
-    assert result.output.count("expected true depth of both panoramas") == 2
-    assert "broken: " in result.output
+    assert said.count("expected true depth of both panoramas") == 2
+    assert "broken: " in said
     scene = load_walk(tmp_path / "pool" / names[0])
     assert scene.images.shape == (2, 64, 128, 3)
     np.testing.assert_allclose(scene.positions[1], [0.4, 0.0, 0.08], atol=1e-4)
-    again = CliRunner().invoke(train_command, arguments)
-    assert ".npz" not in again.output
+    again = omnisyn(*arguments)
+    assert ".npz" not in again.out + again.raw_err
 
 
-def test_walks_of_a_recipe_become_a_pool(tmp_path):
+def test_walks_of_a_recipe_become_a_pool(tmp_path, omnisyn):
     """All views of a walk are one scene, and show what they showed."""
     positions = ((0, 0, 0), (0.2, 0, -0.4), (0.5, 0, -1.0))
     make_walks(tmp_path / "walks", 2, size=(128, 256), radius=3.0, positions=positions)
-    arguments = ["convert", str(tmp_path / "walks"), str(tmp_path / "pool"), "--height", "64"]
-    assert CliRunner().invoke(train_command, arguments).exit_code == 0
+    arguments = ("train", "convert", tmp_path / "walks", tmp_path / "pool", "--height", 64)
+    omnisyn.made(*arguments)
     paths = list_scene_files(tmp_path / "pool")
     assert [path.name for path in paths] == ["00000000.npz", "00000001.npz"]
     small, walk = load_walk(paths[1]), load_walk(tmp_path / "walks" / paths[1].name)
     np.testing.assert_allclose(small.positions, positions, rtol=1e-5)
     for k in range(3):
         np.testing.assert_allclose(small.inverse_depth[k], walk.inverse_depth[k][::2, ::2], rtol=0.05)
-    assert CliRunner().invoke(train_command, [*arguments, "--pairs", "1:2"]).exit_code == 0
+    omnisyn.made(*arguments, "--pairs", "1:2")
     pair = load_walk(tmp_path / "pool" / "00000001-1-2.npz")
     np.testing.assert_allclose(pair.positions[1], np.subtract(positions[2], positions[1]), rtol=1e-3)
     np.testing.assert_array_equal(pair.images, small.images[1:])

@@ -22,7 +22,7 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.checkpoint import load_network
+from omnisyn_cli.training.checkpoint import load_network, publish
 from omnisyn_cli.training.data import load_samples, load_walk, save_samples, stacked
 from omnisyn_cli.training.fusion_scenes import (
     WINDOW_DIVISOR,
@@ -35,7 +35,6 @@ from omnisyn_cli.training.fusion_scenes import (
 )
 from omnisyn_cli.training.loop import train
 from omnisyn_cli.training.losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
-from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 

@@ -14,8 +14,14 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction, feature_directions
 from omnisyn_cli.training.data import Augmentation, at_block_centres, list_scene_files, load_walk, save_samples
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores, with_cap
-from omnisyn_cli.training.pair_matching import draw_pose_error, facing_the_other, reduced_matching
-from omnisyn_cli.training.walks import WalkConfig, make_walk, matched_walk
+from omnisyn_cli.training.walks import (
+    WalkConfig,
+    draw_pose_error,
+    facing_the_other,
+    make_walk,
+    matched_walk,
+    reduced_matching,
+)
 
 
 def warped(batch, factor):

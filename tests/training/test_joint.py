@@ -4,11 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from test_loop import equal
 from training_samples import TINY, ball_scene, make_pool
 
-from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
@@ -23,12 +21,11 @@ from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training import joint
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, load_network, part_of, publish, save_checkpoint
 from omnisyn_cli.training.data import list_scene_files, save_samples
 from omnisyn_cli.training.loop import Trainer, train
 from omnisyn_cli.training.losses import network_inputs
 from omnisyn_cli.training.pairs import Triples, draw_pairs, swap_cameras
-from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.tasks import TrainConfig
 from omnisyn_cli.types import Layer
 
@@ -207,42 +204,29 @@ def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp
         part_of(path, ("completion",))
 
 
-def run(*arguments):
-    return CliRunner().invoke(command.train, [str(argument) for argument in arguments])
-
-
-def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, config):
+def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, config, omnisyn):
     monkeypatch.setitem(PAPER_VARIANTS, "tiny", TINY)
     monkeypatch.setitem(FUSION_VARIANTS, "tiny", PAINTING)
     depth = train(TINY, config, tmp_path / "depth", steps=1)
     save_checkpoint(tmp_path / "small.pt", compact(depth.state()))
-    pools = ("--pool", config.pool, "--validation-pool", config.validation_pool, "--height", 64, "--rate", 0.0)
-    result = run("joint", tmp_path / "run", *pools, "--depth", tmp_path / "small.pt", "--fusion", "tiny", "--steps", 1)
-    assert result.exit_code == 0, result.output
-    held = part_of(tmp_path / "run" / "checkpoint.pt", ("paper",)).state_dict()
+    words = ("--pool", config.pool, "--validation-pool", config.validation_pool, "--height", 64, "--rate", 0.0)
+    words = ("--fusion", "tiny", "--steps", 1, *words)
+    omnisyn.made("train", "joint", tmp_path / "run", *words, "--depth", tmp_path / "small.pt")
+    begun = tmp_path / "run" / "checkpoint.pt"
+    held = part_of(begun, ("paper",)).state_dict()
     for name, value in depth.average.items():
         torch.testing.assert_close(held[name], value, rtol=2e-3, atol=1e-4)
-    begun = tmp_path / "run" / "checkpoint.pt"
-    again = run("joint", tmp_path / "two", *pools, "--depth", begun, "--fusion", "tiny", "--steps", 1)
-    assert again.exit_code == 0, again.output
+    omnisyn.made("train", "joint", tmp_path / "two", *words, "--depth", begun)
     assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("paper",)).state_dict(), held)
 
 
-def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
-    pools = ("--pool", config.pool, "--validation-pool", config.validation_pool)
-    result = run("joint", tmp_path / "run", *pools, "--depth", "slow")
-    assert result.exit_code == 2
-    assert "expected a checkpoint or one of paper" in result.output
-    result = run("joint", tmp_path / "run", *pools, "--fusion", "residual")
-    assert result.exit_code == 2
-    assert "expected a network that paints" in result.output
-    result = run("joint", tmp_path / "run", *pools, "--height", 100)
-    assert result.exit_code == 2
-    assert "multiple of 64 for the joint network" in result.output
+def test_what_cannot_begin_a_run_is_refused(tmp_path, config, omnisyn):
+    words = ("train", "joint", tmp_path / "run", "--pool", config.pool, "--validation-pool", config.validation_pool)
+    assert "expected a checkpoint or one of paper" in omnisyn.misused(*words, "--depth", "slow")
+    assert "expected a network that paints" in omnisyn.misused(*words, "--fusion", "residual")
+    assert "multiple of 64 for the joint network" in omnisyn.misused(*words, "--height", 100)
     train(TINY, config, tmp_path / "depth", steps=1)
-    result = run("joint", tmp_path / "run", *pools, "--fusion", tmp_path / "depth" / "checkpoint.pt")
-    assert isinstance(result.exception, InputError)
-    assert not (tmp_path / "run").exists()
+    omnisyn.refused(*words, "--fusion", tmp_path / "depth" / "checkpoint.pt")
     with pytest.raises(ValueError, match="network has"):
         Trainer(JOINT, config).begin_with({"depth.none": torch.zeros(1)})
 

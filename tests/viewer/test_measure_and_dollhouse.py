@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from interpolation_samples import CHAIN, tour_job
-from omnisyn_cli.cli.scenes import scenes
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.viewer.dollhouse import GRID, stacked_surfaces
@@ -73,9 +71,9 @@ def test_without_metres_nothing_is_measured(opened: Any, tmp_path: Path) -> None
     assert "unit of the poses is unknown" in walk.page.text_content("#measured")
 
 
-def test_estimated_distances_are_within_their_error(opened: Any, tmp_path: Path) -> None:
-    command = ["make", str(tmp_path), "--kind", "room", "--seed", "5", "--frames", "2", "--baseline", "1", "-q"]
-    CliRunner().invoke(scenes, [*command, "--size", "512x256"], catch_exceptions=False)
+def test_estimated_distances_are_within_their_error(opened: Any, tmp_path: Path, omnisyn: Any) -> None:
+    words = ("--kind", "room", "--seed", 5, "--frames", 2, "--baseline", 1, "--size", "512x256", "-q")
+    omnisyn.made("scenes", "make", tmp_path, *words)
     depth, known = read_inverse_depth(tmp_path / "0000_depth.exr"), read_poses(tmp_path / "poses.json").panoramas
     write_poses(tmp_path / "poses.json", {name: PosedPanorama(each.pose) for name, each in known.items()})
     walk, errors = opened_walk(opened, tmp_path, [tmp_path / name for name in known], preset="fast"), []

@@ -1,7 +1,6 @@
 """The methods that know no geometry: a cross-fade, and a fade along optical flow.
 
-Both turn the two panoramas into the orientation of the frame first, as everything else would be compared with a
-rotation that costs nothing to undo.
+Both turn the panoramas into the orientation of the frame first: a rotation costs nothing to undo, so none may count.
 """
 
 from collections.abc import Sequence

@@ -67,8 +67,7 @@ def list_visible(
 ) -> PointLists:  # fmt: skip
     """The nearest points that cover each pixel of a target of ``size = (rows, cols)``, whatever ``threads``.
 
-    Points count on from panorama to panorama, the smaller index first of equally near ones; none at the target's
-    centre.
+    Points count on from panorama to panorama, of equals the smaller index first; none at the target's centre.
     """
     projected: list[np.ndarray] = []
     masks = masks or [None] * len(inverse_depths)

@@ -3,8 +3,7 @@
 Triangles between vertices in the target are drawn flat, in the plane of the equirectangular image, inverse depth linear
 there. Each pass leaves out what is wider than half the image, which is across its seam, and a second one draws an image
 turned by 180°; of both, the nearer counts. It differs from :mod:`omnisyn_cli.render.rasterize` where a triangle is
-large in the image, as around the poles: one that holds a pole is drawn wrongly or not at all, and the source's own
-polar caps are missing.
+large in the image, as around the poles: one that holds a pole is drawn wrongly or not at all; polar caps are missing.
 """
 
 import math

@@ -9,22 +9,13 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 from omnisyn_cli import __version__
+from omnisyn_cli.batch import folder as folders
 from omnisyn_cli.batch.executor import Executor, Job, LocalExecutor, Outcome, Work, run_jobs
-from omnisyn_cli.batch.folder import (
-    STAGING_SUFFIX,
-    Records,
-    is_unchanged,
-    open_staging_dir,
-    prepare_folder,
-    remove_leftovers,
-    write_outputs,
-)
-from omnisyn_cli.batch.interpolations import WorkerSettings
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
@@ -103,15 +94,15 @@ def run_batch(
         raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
     places = [place for job in manifest.jobs for place in job.places]
     inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
-    prepare_folder(folder, places, inputs, overwrite=options.overwrite)
+    folders.prepare_folder(folder, places, inputs, overwrite=options.overwrite)
     report = BatchReport()
-    with Records(folder / RECORDS) as records, open_staging_dir(folder) as staging:
-        report.leftovers = remove_leftovers(folder, staging)
+    with folders.Records(folder / RECORDS) as records, folders.open_staging_dir(folder) as staging:
+        report.leftovers = folders.remove_leftovers(folder, staging)
         todo = [job for job in manifest.jobs if _is_open(job, folder, records, report, options.retry_failed)]
         jobs = [Job(job.id, job, _cost(job), job.group) for job in todo]
         tell = on_progress or (lambda _: None)
         tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
-        executor = make_executor(partial(WorkerSettings, folder.absolute(), staging), options, len(jobs))
+        executor = make_executor((folder.absolute(), staging), options, len(jobs))
         with closing(run_jobs(jobs, executor)) as outcomes:
             for outcome in outcomes:
                 record = _record(outcome, folder, is_host_named=options.record_host)
@@ -124,21 +115,21 @@ def run_batch(
     return report
 
 
-def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptions, jobs: int) -> Executor:
-    """At most one worker per job; ``settings`` makes a worker's of its threads. InputError: Ray is not installed."""
+def make_executor(place: tuple[Path, str], options: BatchOptions, jobs: int) -> Executor:
+    """At most one worker per job; ``place`` is the folder, and the hidden one in it. InputError: Ray is missing."""
     if options.engine == "ray":
         from omnisyn_cli.batch.ray_executor import RayExecutor
 
         threads = options.threads or 1
-        work = Work(INTERPOLATOR, settings(threads))
+        work = Work(INTERPOLATOR, (*place, threads))
         return RayExecutor(work, options.workers, threads, options.gpus, options.ray_address)
     cores = available_threads()
     workers = options.workers or cores
     threads = options.threads or max(1, cores // workers)
-    return LocalExecutor(Work(INTERPOLATOR, settings(threads)), max(1, min(workers, jobs)), threads)
+    return LocalExecutor(Work(INTERPOLATOR, (*place, threads)), max(1, min(workers, jobs)), threads)
 
 
-def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport, retry_failed: bool) -> bool:
+def _is_open(job: BatchJob, folder: Path, records: folders.Records, report: BatchReport, retry_failed: bool) -> bool:
     """Whether a job is to be done; if not, its former record goes into the report."""
     record = records.last(job.id)
     if record is None or not has_same_sources(job, record.get("sources")):
@@ -147,7 +138,7 @@ def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport,
         if not retry_failed:
             report.failed.append(_short(record))
         return retry_failed
-    if not is_unchanged(folder, job.places, record.get("outputs", {})):
+    if not folders.is_unchanged(folder, job.places, record.get("outputs", {})):
         return True
     report.kept.append(_short(record))
     return False
@@ -159,7 +150,7 @@ def _record(outcome: Outcome, folder: Path, *, is_host_named: bool) -> dict[str,
     value, error = dict(answer.value or {}), answer.error
     files = value.pop("files", None)
     if files is not None:
-        write_outputs(files, folder, job.places)
+        folders.write_outputs(files, folder, job.places)
     about = {"id": job.id, "status": "done" if error is None else "failed", "version": __version__,
              "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
              "worker": answer.worker if is_host_named else answer.worker.rpartition(":")[2],
@@ -179,7 +170,7 @@ def _without_folders(value: Any, output: Path, inputs: Path) -> Any:
     if not isinstance(value, str):
         return value
     hidden = rf"{re.escape(TEMPORARY_PREFIX)}[0-9a-f-]+"
-    attempt = rf"{hidden}{re.escape(STAGING_SUFFIX)}[/\\](?:{hidden}[/\\])?"
+    attempt = rf"{hidden}{re.escape(folders.STAGING_SUFFIX)}[/\\](?:{hidden}[/\\])?"
     made, given = (re.escape(f"{folder}{os.sep}") for folder in (output.absolute(), inputs))
     return re.sub(f"(?:{made}(?:{attempt})?|{given})", "", value)
 

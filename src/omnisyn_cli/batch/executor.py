@@ -35,7 +35,7 @@ class Work:
     # ``package.module:function``; called once per worker with ``settings``, it returns the work function, which takes
     # the payload of a job and returns a value, both picklable
     factory: str
-    settings: Any = None  # for the factory; picklable
+    settings: tuple[Any, ...] = ()  # for the factory; picklable
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Worker:
         """The value for a payload, or the error that it ended with; only signals get through."""
         try:
             if self._function is None:
-                self._function = resolve_name(self._work.factory)(self._work.settings)
+                self._function = resolve_name(self._work.factory)(*self._work.settings)
             return Answer(self._function(payload), None, None, self._name)
         except OmnisynError as error:
             message, trace = str(error), None

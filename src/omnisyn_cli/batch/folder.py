@@ -4,7 +4,6 @@ A worker that cannot see the folder (on another machine) works in a temporary on
 """
 
 import json
-import os
 import re
 import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -14,17 +13,10 @@ from typing import Any, Self
 
 from omnisyn_cli.batch.manifest import RECORDS
 from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.io import outputs
+from omnisyn_cli.io.documents import append_line
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
-from omnisyn_cli.io.outputs import (
-    TEMPORARY_PREFIX,
-    check_folder,
-    check_kept,
-    hidden_folder,
-    lock,
-    scratch_folder,
-    temporary_name,
-    write_errors,
-)
+from omnisyn_cli.io.outputs import hidden_folder, write_errors
 
 STAGING_SUFFIX = ".batch"  # of the hidden folder in which a batch works; its whole name is that of no other run
 
@@ -61,8 +53,7 @@ class Records:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with write_errors(self._path):  # what did not get through is tried once more
-            self._file.close()
+        self._file.close()
 
     def last(self, key: str) -> dict[str, Any] | None:
         """The last record of a job when the file was opened, read again: a city of jobs does not fit into memory."""
@@ -73,14 +64,11 @@ class Records:
 
     def append(self, record: dict[str, Any]) -> None:
         """Add the line of a job and wait until it is on the disk; WriteError: the disk is full."""
-        with write_errors(self._path):
-            self._file.write((json.dumps(record, ensure_ascii=False) + "\n").encode())
-            self._file.flush()
-            os.fsync(self._file.fileno())
+        append_line(self._path, record)
 
     def _read(self) -> None:
         try:
-            lock(self._file.fileno())
+            outputs.lock(self._file.fileno())
         except OSError as error:
             raise OutputPathError(
                 f"{self._path}: expected a folder that no other batch works in, got one in use; wait for its end"
@@ -98,22 +86,19 @@ class Records:
                     "move the file away"
                 ) from error
             whole += len(line)
-        if self._path.stat().st_size > whole:
-            self._file.truncate(whole)
 
 
-def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
+def prepare_folder(folder: Path, places: Sequence[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
     """Make a folder, or refuse one in which a batch would replace what none has made (OutputPathError)."""
     if not folder.exists():
-        check_folder(folder.parent)
+        outputs.check_folder(folder.parent)
         folder.mkdir()
-    check_folder(folder)
-    outputs = list(outputs)
-    check_kept((folder / place for place in outputs), inputs, whole_folders=True)
+    outputs.check_folder(folder)
+    outputs.check_kept((folder / place for place in places), inputs, whole_folders=True)
     if overwrite or _staging_dirs(folder):
         return
     recorded = recorded_outputs(folder / RECORDS)
-    if existing := [place for place in outputs if place not in recorded and (folder / place).exists()]:
+    if existing := [place for place in places if place not in recorded and (folder / place).exists()]:
         raise OutputPathError(
             f"{folder / existing[0]}: expected new outputs, got {len(existing)} that exist and no record of {RECORDS} "
             "names; choose another folder or allow overwriting (--overwrite)"
@@ -123,7 +108,7 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
 @contextmanager
 def open_staging_dir(folder: Path) -> Iterator[str]:
     """Make and remove the hidden folder for work in progress, whose name tells workers whether they see this folder."""
-    staging = temporary_name(folder, STAGING_SUFFIX)
+    staging = outputs.temporary_name(folder, STAGING_SUFFIX)
     try:
         with write_errors(staging):
             staging.mkdir()
@@ -141,12 +126,12 @@ def remove_leftovers(folder: Path, staging: str) -> list[Path]:
 
 
 def _staging_dirs(folder: Path) -> list[Path]:
-    return sorted(folder.glob(f"{TEMPORARY_PREFIX}*{STAGING_SUFFIX}"))
+    return sorted(folder.glob(f"{outputs.TEMPORARY_PREFIX}*{STAGING_SUFFIX}"))
 
 
 def _remove(staging: Path) -> None:
     """Under another name first: a worker that has outlived its batch by a moment finds no place to write to."""
-    removed = temporary_name(staging.parent, STAGING_SUFFIX)
+    removed = outputs.temporary_name(staging.parent, STAGING_SUFFIX)
     with suppress(OSError):
         staging = staging.rename(removed)
     shutil.rmtree(staging, ignore_errors=True)
@@ -156,7 +141,7 @@ def _remove(staging: Path) -> None:
 def attempt_folder(staging: Path) -> Iterator[tuple[Path, bool]]:
     """An empty folder for one attempt, and whether it is in the hidden one, which another machine may not see."""
     is_shared = staging.is_dir()
-    with hidden_folder(staging) if is_shared else scratch_folder() as folder:
+    with hidden_folder(staging) if is_shared else outputs.scratch_folder() as folder:
         yield folder, is_shared
 
 

@@ -8,7 +8,6 @@ import hashlib
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -94,27 +93,22 @@ def _digest(view: View) -> bytes:
     return digest.digest()
 
 
-@dataclass(frozen=True)
-class WorkerSettings:
-    """What all jobs of a run have in common."""
-
-    folder: Path  # of the batch, absolute
-    staging: str  # name of the hidden folder in it, see :func:`~omnisyn_cli.batch.folder.open_staging_dir`
-    threads: int  # of each interpolation
-
-
 class Interpolator:
-    """The work function for a worker."""
+    """The work function for a worker.
 
-    def __init__(self, settings: WorkerSettings) -> None:
-        self._settings = settings
+    ``folder`` is that of the batch, absolute, ``staging`` the name of the hidden one in it, see
+    :func:`~omnisyn_cli.batch.folder.open_staging_dir`; ``threads`` are those of each interpolation.
+    """
+
+    def __init__(self, folder: Path, staging: str, threads: int) -> None:
+        self._folder, self._staging, self._threads = folder, staging, threads
         self._panoramas = PanoramaCache()
         self._estimators = LRUCache[DepthCache](MAX_CACHED_ESTIMATORS)
 
     def __call__(self, job: BatchJob) -> dict[str, Any]:
         """Make the outputs of a job; what there is to say about it, and the files if they could not be put in place."""
-        begin, sources, folder = time.perf_counter(), job_sources(job), self._settings.folder
-        with attempt_folder(folder / self._settings.staging) as (attempt, is_shared):
+        begin, sources, folder = time.perf_counter(), job_sources(job), self._folder
+        with attempt_folder(folder / self._staging) as (attempt, is_shared):
             for place in job.places:
                 (attempt / place).parent.mkdir(parents=True, exist_ok=True)
             details = self._interpolate(job, attempt, sources)
@@ -126,7 +120,7 @@ class Interpolator:
         return {"seconds": seconds, "outputs": outputs, **details, "sources": sources, "files": files}
 
     def _interpolate(self, job: BatchJob, attempt: Path, sources: Mapping[str, Any]) -> dict[str, Any]:
-        plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
+        plan = plan_interpolation(job.interpolation(attempt, self._threads))
         memory = self._memory(plan, sources, job) if plan.config.estimates_depth else None
         decoded, matched = self._panoramas.misses, memory.misses if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()

@@ -12,16 +12,8 @@ from pydantic import ValidationError
 from omnisyn_cli.batch.schema import LINE_FIELDS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation import checks
-from omnisyn_cli.interpolation.job import (
-    FACES,
-    INPUT_FILES,
-    INPUT_LISTS,
-    OUTPUTS,
-    POSES_FROM_PICTURES,
-    InterpolationJob,
-    input_files,
-    targets,
-)
+from omnisyn_cli.interpolation import job as jobs
+from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
 from omnisyn_cli.io.encode import NUMBER
@@ -61,13 +53,13 @@ class BatchJob:
     @property
     def input_files(self) -> tuple[Path, ...]:
         """What is read besides panoramas, their poses and what these name."""
-        return input_files(self.interpolation(Path()))
+        return jobs.input_files(self.interpolation(Path()))
 
     def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
         """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
         options = {**self.options, "size": self.size}
-        options |= {key: Path(options[key]) for key in INPUT_FILES if key in options}
-        options |= {key: tuple(map(Path, options[key])) for key in INPUT_LISTS if key in options}
+        options |= {key: Path(options[key]) for key in jobs.INPUT_FILES if key in options}
+        options |= {key: tuple(map(Path, options[key])) for key in jobs.INPUT_LISTS if key in options}
         for angle in {"nadir", "hfov", "vfov", "fov"} & options.keys():
             options[angle] = math.radians(options[angle])
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
@@ -128,8 +120,8 @@ class _Reader:
             raise InputError("expected inputs with poses, or a scene, got neither; name one of them")
         base = self._folder / (line.scene or "")
         poses = base / POSES_NAME if line.poses is None else self._folder / line.poses
-        is_found = line.poses is not None and Path(line.poses) == POSES_FROM_PICTURES
-        poses = POSES_FROM_PICTURES if is_found else self._place(poses)
+        is_found = line.poses is not None and Path(line.poses) == jobs.POSES_FROM_PICTURES
+        poses = jobs.POSES_FROM_PICTURES if is_found else self._place(poses)
         pose_file = None if is_found else self._poses(poses, line.allow_outside)
         if isinstance(pose_file, str):
             raise InputError(pose_file)
@@ -139,16 +131,16 @@ class _Reader:
             for image in images:
                 pose_file.of(image)
         options = line.model_dump(exclude=set(LINE_FIELDS), exclude_defaults=True)
-        for key in options.keys() & {*INPUT_LISTS}:
-            options[key] = [
-                name if name == str(FACES) else str(self._file(self._folder / name, "a mask")) for name in options[key]
-            ]
-        for key in options.keys() & {*INPUT_FILES}:
+        faces = str(jobs.FACES)
+        for key in options.keys() & {*jobs.INPUT_LISTS}:
+            files = (name if name == faces else self._file(self._folder / name, "a mask") for name in options[key])
+            options[key] = [*map(str, files)]
+        for key in options.keys() & {*jobs.INPUT_FILES}:
             options[key] = str(self._file(self._folder / options[key], f"a file for {key}"))
         for key in NETWORK_OPTIONS:
             if (network := options.get(key)) is not None and self._exists(self._folder / network):
                 options[key] = str(self._place(self._folder / network))
-        outputs = {kind: place for kind in OUTPUTS if (place := getattr(line, kind)) is not None}
+        outputs = {kind: place for kind in jobs.OUTPUTS if (place := getattr(line, kind)) is not None}
         outputs.setdefault("output", f"{line.id}.mp4")
         return BatchJob(line.id, images, poses, outputs, options, line.group, self._folder)
 
@@ -206,7 +198,7 @@ def _check_feasible(job: InterpolationJob) -> None:
     frame_count(job)
     size = job.size or MIN_EVEN_SIZE
     checks.check_shape(job, size)
-    for place, encoding in targets(job).items():
+    for place, encoding in jobs.targets(job).items():
         check_encoding(place, size=size, **encoding)
     if job.save_confidence is not None:
         check_encoding(job.save_confidence, size=size, fps=job.fps)

@@ -17,14 +17,7 @@ from omnisyn_cli.interpolation.configs import video_config
 from omnisyn_cli.interpolation.job import INPUT_FILES, INPUT_LISTS
 from omnisyn_cli.io.outputs import relative_name
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.runtime.models import (
-    MANIFEST,
-    ModelEntry,
-    added_models_folder,
-    models_folder,
-    read_manifest,
-    sha256_of,
-)
+from omnisyn_cli.runtime import models
 
 FileStamp = tuple[str, int, int]
 
@@ -69,12 +62,10 @@ def has_same_sources(job: BatchJob, recorded: Any) -> bool:
 
 def digest_of_network(name: str, sources: Mapping[str, Any], job: BatchJob) -> str | None:
     """The digest of a network, by its name or path, in what :func:`job_sources` says of a job that uses it."""
-    files, models = sources["files"], sources["models"]
-    known = (
-        files.get(relative_name(Path(name), job.folder), {}).get("sha256")
-        if _is_path(name)
-        else models.get(Path(name).name)
-    )
+    if _is_path(name):
+        known = sources["files"].get(relative_name(Path(name), job.folder), {}).get("sha256")
+    else:
+        known = sources["models"].get(Path(name).name)
     return None if known is None else str(known)
 
 
@@ -115,22 +106,22 @@ def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...
 
 
 def _is_path(network: str) -> bool:
-    return network.endswith(".onnx") and Path(network).parent != added_models_folder()
+    return network.endswith(".onnx") and Path(network).parent != models.added_models_folder()
 
 
-def _installed() -> Mapping[str, ModelEntry]:
+def _installed() -> Mapping[str, models.ModelEntry]:
     """The networks of the program and added ones, by name or file; these are compared with it when they are loaded."""
-    found: dict[str, ModelEntry] = {}
-    for folder in (models_folder(), added_models_folder()):
+    found: dict[str, models.ModelEntry] = {}
+    for folder in (models.models_folder(), models.added_models_folder()):
         with suppress(OmnisynError, OSError):
-            entries = _manifest(file_stamp(folder / MANIFEST))
+            entries = _manifest(file_stamp(folder / models.MANIFEST))
             found |= {**entries, **{entry.file: entry for entry in entries.values()}}
     return found
 
 
 @lru_cache(maxsize=2)
-def _manifest(stamp: FileStamp) -> Mapping[str, ModelEntry]:
-    return read_manifest(Path(stamp[0]).parent)
+def _manifest(stamp: FileStamp) -> Mapping[str, models.ModelEntry]:
+    return models.read_manifest(Path(stamp[0]).parent)
 
 
 def _entries(job: BatchJob) -> list[PosedPanorama]:
@@ -148,7 +139,7 @@ def _poses(stamp: FileStamp, allow_outside: bool) -> PoseFile:
 
 @lru_cache(maxsize=4096)
 def _hash(stamp: FileStamp) -> str:
-    return sha256_of(Path(stamp[0]))
+    return models.sha256_of(Path(stamp[0]))
 
 
 def _is_same(path: Path, recorded: Any) -> bool:

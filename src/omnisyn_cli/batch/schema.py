@@ -9,11 +9,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import AfterValidator, ConfigDict, Field, StringConstraints, ValidationError, create_model
+from pydantic import ConfigDict, Field, StringConstraints, ValidationError, create_model
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import CHOICES, INPUT_FILES, INPUT_LISTS, OUTPUTS, InterpolationJob
-from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
+from omnisyn_cli.io.documents import expected, json_path, parse_json, problem_sentence, read_text
 
 MAX_MANIFEST_BYTES = 1 << 30  # one GiB: larger files are no manifests. Set by hand.
 LIST_COLUMNS = frozenset({"inputs", *INPUT_LISTS})  # columns of CSV with several file names, separated by semicolons
@@ -67,13 +67,7 @@ Name = Annotated[str, StringConstraints(min_length=1)]
 
 def _like(pattern: str, wanted: str) -> Any:
     """The type of text that is like a pattern, which people call ``wanted``."""
-
-    def checked(text: str) -> str:
-        if not re.fullmatch(pattern, text):
-            raise ValueError(wanted)
-        return text
-
-    return Annotated[str, AfterValidator(checked)]
+    return Annotated[str, expected(wanted, lambda text: re.fullmatch(pattern, text))]
 
 
 # Type and default of what a line says beside the options of its interpolation.

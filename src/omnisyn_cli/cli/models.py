@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +68,10 @@ def list_models(folder: Path | None, as_json: bool) -> None:
     if not entries:
         say("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
         return
-    for line in _table([HEADER, *map(_row, entries)]):
-        say(line)
+    rows = [HEADER, *map(_row, entries)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:  # the width of a terminal crops nothing
+        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
     for choice in _choices(entries, folder):
         say(f"for interpolate: {choice}")
 
@@ -118,13 +120,6 @@ def _row(entry: ModelEntry) -> tuple[str, ...]:
     return entry.name, entry.role, f"{width}x{height}", counted, hours, entry.purpose
 
 
-def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Lines with aligned columns; the width of a terminal crops nothing."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-
-
 @click.command("export-onnx")
 @click.argument("checkpoint", type=FILE)
 @click.option("-o", "--output", type=FOLDER, help="Folder of models.  [default: that of the checkpoint]")
@@ -141,7 +136,7 @@ def export_onnx(checkpoint: Path, output: Path | None, **options: Any) -> None:
 
     The command refuses if ONNX Runtime and torch differ by more than 1e-4 of the largest value.
     """
-    from omnisyn_cli.training.publish import publish
+    from omnisyn_cli.training.checkpoint import publish
 
     output = output or checkpoint.parent
     for entry, difference in publish(checkpoint, output, **options):

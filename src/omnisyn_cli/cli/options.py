@@ -65,24 +65,6 @@ masks_option = click.option(
     help="Image, black where a panorama must not be used; one per panorama.",
 )  # fmt: skip
 
-blur_options = all_of(  # who is made unrecognizable; the files of the panoramas stay
-    click.option(
-        "--blur", metavar="FILE|auto-faces", multiple=True, type=FilePath(),
-        help="Image, black where a panorama is blurred for good; one per panorama. auto-faces: all faces.",
-    ),
-    click.option(
-        "--face-model", metavar="FILE", type=FilePath(),
-        help="OpenCV's face detector YuNet, from github.com/opencv/opencv_zoo: face_detection_yunet_2023mar.onnx.  "
-        "[default: OMNISYN_FACE_MODEL in the environment]",
-    ),
-)  # fmt: skip
-
-nadir_option = click.option(
-    "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
-    help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
-)  # fmt: skip
-
-
 scale_options = all_of(  # what poses that are found in the pictures get their metres from
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
@@ -104,37 +86,6 @@ tour_options = all_of(
     ),
     scale_options,
     click.option("--refine", is_flag=True, help="Correct the poses where the pictures allow it."),
-)  # fmt: skip
-
-depth_options = all_of(  # where depth comes from
-    click.option(
-        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto",
-        help=f"Source of depth. {listed(DEPTH_SOURCES)}; auto: files if every panorama has one, else the preset's.",
-    ),
-    click.option(
-        "--model", metavar="NAME|PATH", help="Network for the depth, see `omnisyn models`.  [default: the preset's]"
-    ),
-    click.option(
-        "--depth-prior", metavar="FILE|NAME|none",
-        help="Your own depth network, asked where matching leaves much open (docs/depth-prior.md): an ONNX file or one "
-        "of `omnisyn models`.  [default: the preset's]",
-    ),
-    click.option(
-        "--depth-prior-kind", metavar="WORDS", default="", show_default=False,
-        help="What its file does not say, such as perspective,inverse-depth.",
-    ),
-)  # fmt: skip
-
-cut_options = all_of(  # where surfaces are cut; one of them
-    click.option(
-        "--cut", type=FiniteRange(0, 1, min_open=True),
-        help="Cut the mesh where inverse depth changes by more than this share between pixels.  [default: 0.05; "
-        "none for paper]",
-    ),
-    click.option(
-        "--cut-metres", type=FiniteRange(0, min_open=True),
-        help="Cut at depth steps of this size instead, as the paper does.  [default: 2 for paper]",
-    ),
 )  # fmt: skip
 
 part_options = all_of(  # what of the sphere parts of it show, where their tags do not say it
@@ -170,7 +121,58 @@ picture_options = all_of(  # how pictures are read whose poses are found or chec
     reading_options,
 )  # fmt: skip
 
-size_options = all_of(  # what of unusual panoramas is accepted
+preset_option = click.option(
+    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=False,
+    help="Speed against accuracy: seconds of one slow core for 90 frames of 1024x512, and their WS-PSNR.\n\n\b\n"
+    + "\n".join(f"{name:9} {preset.summary}" for name, preset in PRESETS.items()),
+)  # fmt: skip
+
+surface_options = all_of(  # how the surfaces of panoramas are found
+    preset_option,
+    # where depth comes from
+    click.option(
+        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto",
+        help=f"Source of depth. {listed(DEPTH_SOURCES)}; auto: files if every panorama has one, else the preset's.",
+    ),
+    click.option(
+        "--model", metavar="NAME|PATH", help="Network for the depth, see `omnisyn models`.  [default: the preset's]"
+    ),
+    click.option(
+        "--depth-prior", metavar="FILE|NAME|none",
+        help="Your own depth network, asked where matching leaves much open (docs/depth-prior.md): an ONNX file or one "
+        "of `omnisyn models`.  [default: the preset's]",
+    ),
+    click.option(
+        "--depth-prior-kind", metavar="WORDS", default="", show_default=False,
+        help="What its file does not say, such as perspective,inverse-depth.",
+    ),
+    # where surfaces are cut; one of them
+    click.option(
+        "--cut", type=FiniteRange(0, 1, min_open=True),
+        help="Cut the mesh where inverse depth changes by more than this share between pixels.  [default: 0.05; "
+        "none for paper]",
+    ),
+    click.option(
+        "--cut-metres", type=FiniteRange(0, min_open=True),
+        help="Cut at depth steps of this size instead, as the paper does.  [default: 2 for paper]",
+    ),
+    masks_option,
+    # who is made unrecognizable; the files of the panoramas stay
+    click.option(
+        "--blur", metavar="FILE|auto-faces", multiple=True, type=FilePath(),
+        help="Image, black where a panorama is blurred for good; one per panorama. auto-faces: all faces.",
+    ),
+    click.option(
+        "--face-model", metavar="FILE", type=FilePath(),
+        help="OpenCV's face detector YuNet, from github.com/opencv/opencv_zoo: face_detection_yunet_2023mar.onnx.  "
+        "[default: OMNISYN_FACE_MODEL in the environment]",
+    ),
+    click.option(
+        "--nadir", metavar="DEGREES|auto", type=NadirRange(0, 90, max_open=True), default="auto",
+        help="Mask a cap of this radius around straight down; auto finds caps, tripods and operators; 0 masks nothing.",
+    ),
+    threads_option,
+    # what of unusual panoramas is accepted
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
     reading_options,
     click.option(
@@ -181,17 +183,6 @@ size_options = all_of(  # what of unusual panoramas is accepted
         "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192,
         help="Refuse panoramas, masks and depth files with more pixels, before decoding.",
     ),
-)  # fmt: skip
-
-preset_option = click.option(
-    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=False,
-    help="Speed against accuracy: seconds of one slow core for 90 frames of 1024x512, and their WS-PSNR.\n\n\b\n"
-    + "\n".join(f"{name:9} {preset.summary}" for name, preset in PRESETS.items()),
-)  # fmt: skip
-
-
-surface_options = all_of(  # how the surfaces of panoramas are found
-    preset_option, depth_options, cut_options, masks_option, blur_options, nadir_option, threads_option, size_options,
     outside_option,
 )  # fmt: skip
 
@@ -242,6 +233,6 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
 
 
 def check_one_cut(options: Mapping[str, Any]) -> None:
-    """Refuse both of :data:`cut_options`."""
+    """Refuse both rules for where surfaces are cut."""
     if options["cut"] is not None and options["cut_metres"] is not None:
         raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")

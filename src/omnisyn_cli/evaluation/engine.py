@@ -22,7 +22,6 @@ from omnisyn_cli.evaluation.datasets.sources import (
     choose_pairs,
     in_tours,
 )
-from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.grouping import BOUND, median_depth
 from omnisyn_cli.evaluation.measure import measure
 from omnisyn_cli.evaluation.methods import (
@@ -33,7 +32,7 @@ from omnisyn_cli.evaluation.methods import (
     PairDepths,
     find_methods,
 )
-from omnisyn_cli.evaluation.results import RESULTS_NAME, Status, UnitRecord, read_records, worst_frames
+from omnisyn_cli.evaluation.results import RESULTS_NAME, Fingerprints, Status, UnitRecord, read_records, worst_frames
 from omnisyn_cli.evaluation.views import LoadedPair, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.geometry.pose import distance_between

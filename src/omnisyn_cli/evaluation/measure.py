@@ -2,29 +2,32 @@
 
 The temporal measures need a clip: :data:`CLIP_FRAMES` frames around the middle of the way on the straight line between
 both panoramas, :data:`CLIP_STEP` of the way apart (two seconds of video at 30 frames a second), at most
-:data:`CLIP_HEIGHT` rows high. They follow the method's own geometry, so methods without geometry have none.
+:data:`CLIP_HEIGHT` rows high. They follow the method's own geometry, so methods without geometry have none: a point of
+one frame is found in another by its inverse depth (1/m; 0 is infinitely far, negative or NaN unknown) and both poses,
+world-from-camera. Nothing is estimated from the pictures. Means are weighted by solid angle.
 """
 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.evaluation.metrics import image as metrics
 from omnisyn_cli.evaluation.metrics.artefacts import PhotographEdges, flying_share, shard_share
 from omnisyn_cli.evaluation.metrics.depth import confidence_metrics, depth_metrics, left_right_metrics, scored_pixels
-from omnisyn_cli.evaluation.metrics.image import Masks, Picture
-from omnisyn_cli.evaluation.metrics.photographs import photograph_scores
-from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
+from omnisyn_cli.evaluation.metrics.image import Masks, Picture, photograph_scores
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord
 from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame, at_size
 from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
-from omnisyn_cli.geometry.pose import at_same_position, interpolate_pose
-from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
-from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
+from omnisyn_cli.geometry.pose import Pose, at_same_position, interpolate_pose
+from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions, row_weights
+from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
@@ -168,3 +171,68 @@ def _end_errors(made: Pair, pair: LoadedPair, threads: int | None) -> dict[str, 
         truth = at_size(view.image, pair.size, threads)
         errors.append(math.sqrt(mean_over_sphere((shown.astype(np.float64) - _clip_to_unit(truth)) ** 2)))
     return {"end_first": errors[0], "end_second": errors[1]}
+
+
+# Inverse depth, 1/m, below which values always agree: beyond a kilometre parallax is invisible.
+FAR_INVERSE_DEPTH = 1e-3
+
+Frames = Sequence[Float[np.ndarray, "height width 3"]]
+InverseDepths = Sequence[Float[np.ndarray, "height width"]]
+
+
+def change_psnr(frames: Frames, truths: Frames) -> list[float]:
+    """WS-PSNR of ``(made_k − made_{k−1}) − (true_k − true_{k−1})``, dB: what is wrong alike in both is no error."""
+    return [
+        metrics.ws_psnr(after - before, true_after - true_before)
+        for (before, after), (true_before, true_after) in zip(pairwise(frames), pairwise(truths), strict=True)
+    ]
+
+
+def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
+    """Mean absolute difference between a frame and the next one warped into it, where both see the same point.
+
+    The mean over pairs of neighbours (two frames at least), each over what both see; ValueError: nothing. Reflections
+    and blur by interpolation count as errors. Source: Lai et al., Learning blind video temporal consistency, 2018, with
+    geometry for optical flow and absolute differences.
+    """
+    errors = []
+    for here in range(len(frames) - 1):
+        warped, visible = _warp(here, here + 1, frames, inverse_depths, poses)
+        errors.append(_mean(np.abs(warped - frames[here]), visible))
+    return float(np.mean(errors))
+
+
+def flicker(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
+    """Mean absolute second difference in time, ``|before − 2·now + after|``, of every point that three frames see.
+
+    A steady change is no flicker; a point lit for one frame by e counts 2·e. At least three frames; errors as above.
+    """
+    errors = []
+    for now in range(1, len(frames) - 1):
+        before, visible_before = _warp(now, now - 1, frames, inverse_depths, poses)
+        after, visible_after = _warp(now, now + 1, frames, inverse_depths, poses)
+        errors.append(_mean(np.abs(before - 2.0 * frames[now] + after), visible_before & visible_after))
+    return float(np.mean(errors))
+
+
+def _warp(
+    here: int, there: int, frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]
+) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
+    """Colours in frame ``there`` of the points that the pixels of frame ``here`` show, and which of them it sees."""
+    rho = inverse_depths[here].astype(np.float64)
+    known = rho >= 0
+    there_from_here = poses[there].inverse() @ poses[here]
+    rays = sweep_directions(pixel_directions(*rho.shape), np.where(known, rho, 0.0), there_from_here)
+    length = np.linalg.norm(rays, axis=-1)
+    reached = known & (length > 0)
+    expected = rho / np.where(reached, length, 1.0)
+    seen = sample_nearest(inverse_depths[there], rays)
+    agreeing = np.abs(expected - seen) <= np.maximum(SAME_POINT_TOLERANCE * expected, FAR_INVERSE_DEPTH)
+    return sample_bicubic(frames[there].astype(np.float64), rays), reached & (seen >= 0) & agreeing
+
+
+def _mean(error: Float[np.ndarray, "height width 3"], visible: Bool[np.ndarray, "height width"]) -> float:
+    weights = row_weights(len(error))[:, None] * visible
+    if not weights.any():
+        raise ValueError("expected neighbouring frames with something in common, got none; take smaller steps")
+    return float(np.average(error.mean(axis=-1), weights=weights))

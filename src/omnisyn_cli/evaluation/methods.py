@@ -219,13 +219,11 @@ BASES: Mapping[str, ComparedMethod] = {
         ("matching", "depth by matching, mesh, geometric fusion", RunConfig(DepthSource("matching"), adaptive=True)),
         *((f"omnisyn-{name}", f"the preset {name}", preset.config) for name, preset in SCALE.items()),
         ("omnisyn-paper", "the preset paper: the method of the paper with narrower networks", PRESETS["paper"].config),
-        (
-            "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
-            replace(_DEFAULT, renderer="two-pass"),
-        ),
-        (
-            "omnisyn-points", "the default preset with a cloud of points instead of meshes",
-            replace(_DEFAULT, renderer="points"),
+        *(
+            (f"omnisyn-{renderer}", f"the default preset with {what}", replace(_DEFAULT, renderer=renderer))
+            for renderer, what in (
+                ("two-pass", "the paper's two-pass rasteriser"), ("points", "a cloud of points instead of meshes"),
+            )
         ),
         ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
         (

@@ -1,21 +1,26 @@
-"""What was measured, as values that a line of JSON can hold: the only thing that the engine and the report share.
+"""What was measured, as values that a line of JSON can hold, and what that depends on, as a hash.
 
 ``results.jsonl`` in the folder of a report has one line for each finished unit, one method on one pair. It is appended
 and never changed; a later line about the same unit counts instead, a last one that was cut short does not.
 """
 
+import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Literal
 
 from pydantic import ConfigDict, TypeAdapter
 
-from omnisyn_cli.errors import InputError
+import omnisyn_cli
+from omnisyn_cli.errors import ImageError, InputError
+from omnisyn_cli.evaluation.datasets.sources import Pair
 from omnisyn_cli.io.documents import complete_lines
+from omnisyn_cli.runtime.models import sha256_of
 
 RESULTS_NAME = "results.jsonl"  # a line per finished unit
 
@@ -32,12 +37,11 @@ class FrameRecord:
     t: float  # share of the way from the first panorama to the second, by distance, in (0, 1)
     distance: float  # metres to the nearer of the two panoramas
     # ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``, ``lrce``;
-    # ``change_psnr`` of all but the first, see :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying``
+    # ``change_psnr`` of all but the first, see :func:`omnisyn_cli.evaluation.measure.change_psnr`; ``flying``
     # where true depth is known, and ``shards`` of all frames, the only one without a true frame, see
     # :mod:`omnisyn_cli.evaluation.metrics.artefacts`.
     scores: Mapping[str, float]
-    # ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the report, with
-    # "/"; may be empty
+    # ``frame``, ``truth``, ``error``, with geometry ``kinds`` -> file, relative to the report, with "/"; may be empty
     pictures: Mapping[str, str] = field(default_factory=dict)
     # ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of pixel -> number;
     # kinds that there are no pixels of are missing
@@ -82,7 +86,7 @@ class UnitRecord:
     # one for every true frame between, in walking order; one half way where there are none
     frames: tuple[FrameRecord, ...] = ()
     depths: tuple[DepthRecord, ...] = ()  # of the first and of the second panorama; empty for methods without depth
-    # ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.metrics.temporal`), and ``end_first``,
+    # ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.measure`), and ``end_first``,
     # ``end_second``: root mean square difference, weighted by solid angle, between what the method makes at the place
     # of a panorama and that panorama. Measures that a method does not allow are missing.
     temporal: Mapping[str, float] = field(default_factory=dict)
@@ -142,3 +146,45 @@ def read_records(folder: Path) -> list[UnitRecord]:
                 "folder"
             ) from error
     return records
+
+
+RECORD_VERSION = 3  # counts up when the same inputs are measured or recorded in another way
+IGNORED_ROOMS = frozenset({"batch", "cli", "networks", "training"})  # parts of the program that no method goes through
+
+
+@cache
+def digest_of_sources(package: Path) -> str:
+    """Of a package's files but for :data:`IGNORED_ROOMS`: between two releases only this tells a change."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        name = path.relative_to(package)
+        if name.parts[0] not in IGNORED_ROOMS:
+            digest.update(f"{name.as_posix()}\n{path.stat().st_size}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+class Fingerprints:
+    """Hashes of units; every file is read once."""
+
+    def __init__(self) -> None:
+        self._files: dict[Path, str] = {}
+        self._program = [RECORD_VERSION, omnisyn_cli.__version__, digest_of_sources(Path(omnisyn_cli.__file__).parent)]
+
+    def of(self, pair: Pair, method: Sequence[str], options: Mapping[str, Any]) -> str:
+        """Digest of all that a method (name, ingredients) on a pair depends on; ImageError: an unreadable file."""
+        frames = [
+            [frame.name, frame.pose.position.tolist(), frame.pose.rotation.tolist(), *map(self.of_file, frame.files)]
+            for frame in (pair.first, pair.second, *pair.between, pair.before, pair.after)
+            if frame is not None
+        ]
+        described = [*self._program, list(method), dict(options), frames]
+        return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
+
+    def of_file(self, path: Path) -> str:
+        """Hexadecimal digest of a file's content; ImageError: it is missing or cannot be read."""
+        if path not in self._files:
+            try:
+                self._files[path] = sha256_of(path)
+            except OSError as error:
+                raise ImageError(f"{path}: expected a file, got '{error.strerror}'; check the scene") from error
+        return self._files[path]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.evaluation.datasets.sources import Pair, SceneFrame
-from omnisyn_cli.evaluation.metrics.photographs import comparable_pixels
+from omnisyn_cli.evaluation.metrics.image import comparable_pixels
 from omnisyn_cli.geometry.pose import Pose, distance_between, interpolate_pose
 from omnisyn_cli.io import read_mask, read_panorama
 from omnisyn_cli.io.images import check_mask_size
@@ -79,8 +79,7 @@ def load_pair(
     """Read all pictures, masks and depth of a pair; frames are compared at ``size`` or that of the first true frame.
 
     Without true frames it is that of the first panorama, at most :data:`MAX_HALF_WAY_ROWS`; so it is with photographs,
-    in which what moves with the camera is not compared. InputError: a file is missing or damaged, or a mask of another
-    size.
+    in which what moves with the camera is not compared. InputError: a missing or damaged file, a mask of another size.
     """
     views = (_view(pair.first), _view(pair.second))
     rows = min(views[0].image.shape[0], MAX_HALF_WAY_ROWS)

@@ -23,7 +23,7 @@ from omnisyn_cli.interpolation.loading import known_depth
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
-from omnisyn_cli.io import MAX_PIXELS, open_video, read_panorama, sample_type
+from omnisyn_cli.io import open_video, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.pipeline.config import DepthSource, RunConfig, frame_size
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -51,10 +51,7 @@ def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: fl
     file = read_poses(poses)
     for path in paths:
         panorama, entry = read_panorama(path), file.of(path)
-        mask = usable_part(
-            panorama.mask, panorama.image.shape[:2], (entry.mask,), math.radians(nadir_deg),
-            allow_aspect=False, max_pixels=MAX_PIXELS,
-        )  # fmt: skip
+        mask = usable_part(panorama.mask, panorama.image.shape[:2], (entry.mask,), math.radians(nadir_deg))
         views.append(View(panorama.image, entry.pose, mask, known_depth(entry)))
     return views
 

@@ -51,7 +51,7 @@ def blurred_panorama(job: TourJob, index: int, panorama: Panorama) -> Panorama:
         side = min(max(rows // 2 // 32 * 32, MIN_PICTURE_SIDE), MAX_PICTURE_SIDE)
         area = face_area(panorama.image, _detector(job, side))
     else:
-        reading = replace(reading_of(job), view_transform=False, size=(rows, columns))
+        reading = replace(reading_of(job), size=(rows, columns))
         area = ~read_mask(job.blur[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
     original = None if panorama.original is None else blur(panorama.original, area)
     return replace(panorama, image=blur(panorama.image, area), original=original)

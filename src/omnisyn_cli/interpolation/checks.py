@@ -6,18 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import (
-    CHOICES,
-    FACES,
-    OUTPUTS,
-    POSES_FROM_PICTURES,
-    InterpolationJob,
-    TourJob,
-    depth_files,
-    input_files,
-    reading_of,
-    targets,
-)
+from omnisyn_cli.interpolation import job as jobs
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.encode import ImageSequence, image_sequence, is_sequence
@@ -37,8 +27,8 @@ MAX_NADIR_RADIANS = math.radians(90.0)  # a cap that is no hemisphere yet
 
 def check_names(job: TourJob) -> None:
     """Refuse names that are no UTF-8 (InputError), which image libraries do not take, or no names (OutputPathError)."""
-    outputs = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
-    for path in (*job.images, *input_files(job), job.poses, *outputs):
+    outputs = [place for name in jobs.OUTPUTS if (place := getattr(job, name, None)) is not None]
+    for path in (*job.images, *jobs.input_files(job), job.poses, *outputs):
         name = str(path)
         if name.encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
             raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
@@ -48,7 +38,7 @@ def check_names(job: TourJob) -> None:
 
 def check_choices(job: TourJob) -> None:
     """Refuse (InputError) what the command line does not offer as a choice, for those who call the library."""
-    for name, known in CHOICES.items():
+    for name, known in jobs.CHOICES.items():
         if (value := getattr(job, name, known[0])) not in known:
             raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
     if job.cut is not None and job.cut_metres is not None:
@@ -67,7 +57,7 @@ def check_choices(job: TourJob) -> None:
 
 def check_pose_options(job: TourJob) -> None:
     """Refuse options that are for poses from pictures alone, or for poses from a file alone (InputError)."""
-    is_found = job.poses == POSES_FROM_PICTURES
+    is_found = job.poses == jobs.POSES_FROM_PICTURES
     for name, metres in (("baseline", job.baseline), ("height of the camera", job.camera_height)):
         if metres is not None and not is_found:
             raise InputError(
@@ -112,7 +102,7 @@ def check_view(job: InterpolationJob) -> None:
 
 def source_size(job: TourJob, image: Path) -> tuple[int, int]:
     """Height and width of the panorama that a file becomes. Raises ImageError: there is none."""
-    header, reading = read_header(image), reading_of(job)
+    header, reading = read_header(image), jobs.reading_of(job)
     return sphere_size(header, allow_aspect=job.allow_aspect, max_pixels=job.max_pixels, reading=reading)
 
 
@@ -125,7 +115,7 @@ def check_companions(
     """
     for k, (entry, size) in enumerate(zip(entries, sizes, strict=True)):
         for mask in (entry.mask, *job.masks[k : k + 1], *job.blur[k : k + 1]):
-            if mask not in (None, FACES):
+            if mask not in (None, jobs.FACES):
                 check_mask_size(mask, source_size(job, mask), size)
         if entry.depth is not None and config.depth.strategy.reads_files:
             check_depth_header(read_header(entry.depth))
@@ -151,7 +141,7 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
             f"{job.save_frames}: expected a folder or a pattern such as frames/%05d.png, got a file name"
         )
     whole = (2 * size[0], size[1]) if job.stereo == "top-bottom" else size
-    for place, encoding in targets(job).items():
+    for place, encoding in jobs.targets(job).items():
         check_video(place, size=whole, overwrite=job.overwrite, **encoding)
     if job.save_confidence is not None:
         check_video(job.save_confidence, size=size, fps=job.fps, overwrite=job.overwrite)
@@ -163,7 +153,7 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         raise InputError(f"{job.output}: expected a video for --audio, got a place for images; name one such as a.mp4")
     if job.save_depth is not None:
         check_staged_folder(job.save_depth)
-        for file in depth_files(job):
+        for file in jobs.depth_files(job):
             if file.exists():
                 check_output(file, job.overwrite)
 
@@ -190,10 +180,10 @@ def _check_distinct(targets: Iterable[Path]) -> None:
 
 def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> None:
     """Refuse outputs that would overwrite what the video is made of. Raises OutputPathError: one would."""
-    outputs = [job.output, *depth_files(job)]
+    outputs = [job.output, *jobs.depth_files(job)]
     outputs += [path for path in (job.save_confidence, job.view) if path is not None]
     for place in (job.output, job.save_frames, job.save_confidence):
         if place is not None and is_sequence(place):
             outputs.extend(image_sequence(place).existing())
     companions = (file for entry in entries for file in entry.companions)
-    check_kept(outputs, (*job.images, *input_files(job), job.poses, *companions))
+    check_kept(outputs, (*job.images, *jobs.input_files(job), job.poses, *companions))

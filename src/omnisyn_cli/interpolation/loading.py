@@ -121,7 +121,7 @@ def _read_companions(
     mask = usable_part(
         panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir or 0.0,
         allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
-        reading=replace(reading_of(job), view_transform=False, size=plan.source_sizes[index]),
+        reading=replace(reading_of(job), size=plan.source_sizes[index]),
     )  # fmt: skip
     return mask, known_depth(entry, job.max_pixels) if plan.config.depth.strategy.reads_files else None
 

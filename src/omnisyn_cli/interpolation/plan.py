@@ -13,26 +13,19 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
+from omnisyn_cli.interpolation import job as jobs
 from omnisyn_cli.interpolation.configs import for_frames, surface_config, video_config
-from omnisyn_cli.interpolation.job import (
-    POSES_FROM_PICTURES,
-    InterpolationJob,
-    TourJob,
-    of_panoramas,
-    picture_options,
-    reading_of,
-)
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.interpolation.look import LOOK_AHEAD, look_along
 from omnisyn_cli.interpolation.planning.memory import Footprint, MemoryEstimate, PriorCost
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.encode import image_sequence, is_sequence
-from omnisyn_cli.io.encoders import CODECS, as_fraction
+from omnisyn_cli.io.encoders import CODECS, Soundtrack, as_fraction
 from omnisyn_cli.io.ffmpeg_process import read_soundtrack
 from omnisyn_cli.io.images import is_squeezed
 from omnisyn_cli.io.placement import placement_of
-from omnisyn_cli.io.soundtrack import Soundtrack
 from omnisyn_cli.pipeline.config import RunConfig
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
 from omnisyn_cli.poses.tour import Tour
@@ -199,13 +192,13 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     checks.check_choices(job)
     checks.check_method(job)
     checks.check_view(job)
-    if job.refine or job.poses == POSES_FROM_PICTURES:  # that takes a while: what can be refused is refused before
+    if job.refine or job.poses == jobs.POSES_FROM_PICTURES:  # that takes a while: what can be refused is refused before
         checks.check_outputs(job, job.size or LIKELY_SIZE)
         frame_count(job)
     seconds = float(frame_count(job) / as_fraction(job.fps))
     soundtrack = None if job.audio is None else read_soundtrack(job.audio, seconds)
     tour = plan_tour(job, video_config)
-    job = replace(job, **of_panoramas(tour.job, range(len(tour.entries))))  # in the order that was found
+    job = replace(job, **jobs.of_panoramas(tour.job, range(len(tour.entries))))  # in the order that was found
     entries, frames = tour.entries, frame_count(job)
     size = job.size or default_size(job, tour.source_sizes)
     if job.projection == "flat":
@@ -292,13 +285,13 @@ def _installed(config: RunConfig) -> RunConfig:
 def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     """The job in its order; the poses, read, refined or found, and what there is to say about them."""
     checks.check_pose_options(job)
-    is_found = job.poses == POSES_FROM_PICTURES
+    is_found = job.poses == jobs.POSES_FROM_PICTURES
     if not (is_found or job.refine):
         return job, read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
     # OpenCV takes a while to import and is needed for poses from pictures only.
     from omnisyn_cli.poses.estimation import estimate_poses, refine_poses
 
-    options = picture_options(job)
+    options = jobs.picture_options(job)
     if not is_found:
         given = read_poses(job.poses, allow_outside=job.allow_outside)
         refined = refine_poses(job.images, given, options)
@@ -310,7 +303,8 @@ def _posed(job: TourJob) -> tuple[TourJob, PoseFile, tuple[str, ...]]:
     )  # fmt: skip
     is_metric = job.baseline is not None or job.camera_height is not None
     posed = PoseFile(job.poses, found.panoramas, found.links, is_metric=is_metric)
-    return replace(job, **of_panoramas(job, [job.images.index(image) for image in found.order])), posed, found.notes
+    order = [job.images.index(image) for image in found.order]
+    return replace(job, **jobs.of_panoramas(job, order)), posed, found.notes
 
 
 def frame_count(job: InterpolationJob) -> int:
@@ -345,7 +339,7 @@ def _encoder(job: InterpolationJob) -> str:
 
 
 def _notes_about_pictures(job: TourJob) -> Iterator[str]:
-    headers, reading = [read_header(image) for image in job.images], reading_of(job)
+    headers, reading = [read_header(image) for image in job.images], jobs.reading_of(job)
     if squeezed := [h.path.name for h in headers if not job.allow_aspect and is_squeezed(placement_of(h, reading))]:
         yield f"{listed(squeezed)}: 16:9, taken for squeezed frames of a 360° video and stretched to 2:1"
     if linear := [h.path.name for h in headers if h.is_linear and reading.view_transform]:

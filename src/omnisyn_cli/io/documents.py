@@ -8,12 +8,12 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Never, TypeVar
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.io.outputs import write_errors
@@ -34,6 +34,17 @@ class ForeignModel(BaseModel):
     """Part of another program's file: what is not needed here is ignored."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+
+def expected(what: str, holds: Callable[[Any], object]) -> AfterValidator:
+    """A condition of a value in a file that users write, and the words of its error."""
+
+    def checked(value: Any) -> Any:
+        if not holds(value):
+            raise ValueError(what)
+        return value
+
+    return AfterValidator(checked)
 
 
 class _DisagreementError(Exception):

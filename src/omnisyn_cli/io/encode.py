@@ -12,15 +12,9 @@ import OpenImageIO
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import EncodingError, OutputPathError, WriteError
+from omnisyn_cli.io import outputs
 from omnisyn_cli.io.decode import SHOWN_ATTRIBUTE
 from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
-from omnisyn_cli.io.outputs import (
-    check_output,
-    check_staged_folder,
-    replaced_when_complete,
-    staged_folder,
-    write_errors,
-)
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")  # files that frames and pictures can be written to
 JPEG_QUALITY = 95  # nearly without visible loss. Set by hand.
@@ -41,9 +35,9 @@ def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *chann
     """
     target = Path(path)
     suffix = image_suffix(target)
-    check_output(target, overwrite=True)
+    outputs.check_output(target, overwrite=True)
     samples = _samples_for(suffix, image)
-    with replaced_when_complete(target) as temporary:
+    with outputs.replaced_when_complete(target) as temporary:
         if suffix in (".jpg", ".jpeg"):
             temporary.write_bytes(jpeg_bytes(samples))
         else:
@@ -234,7 +228,7 @@ def _is_known(suffix: str) -> bool:
 def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
     """Refuse a sequence that could not be written, before any work."""
     folder = sequence.folder
-    check_staged_folder(folder)
+    outputs.check_staged_folder(folder)
     if not overwrite and (existing := sequence.existing()):
         raise OutputPathError(
             f"{folder}: expected a folder without such frames, got {len(existing)} (e.g. {min(existing).name}); "
@@ -249,13 +243,13 @@ def open_sequence(
     """A place for frames that appears in its folder when it is complete; former frames of it are removed then."""
     check_sequence(sequence, overwrite)
     folder = sequence.folder
-    with staged_folder(folder, overwrite=overwrite) as temporary:
+    with outputs.staged_folder(folder, overwrite=overwrite) as temporary:
         writer = ImageSequenceWriter(temporary, sequence, size)
         yield writer
         if writer.frame_count == 0:
             raise EncodingError(f"{folder}: expected a frame to write, got none; check the trajectory")
         check_sequence(sequence, overwrite)  # somebody else may have made frames in the meantime
-    with write_errors(folder):
+    with outputs.write_errors(folder):
         index = writer.frame_count  # what follows without a gap is the rest of a longer sequence
         while (stale := folder / sequence.name(index)).exists():
             stale.unlink()

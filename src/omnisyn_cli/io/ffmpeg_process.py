@@ -16,9 +16,8 @@ from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import EncodingError, InputError, WriteError
 from omnisyn_cli.io.decode import check_is_file
-from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.encoders import Soundtrack, ffmpeg_program
 from omnisyn_cli.io.outputs import scratch_folder
-from omnisyn_cli.io.soundtrack import Soundtrack
 
 MAX_STDERR_LINES = 12  # the last lines of ffmpeg that an error message quotes
 KILL_TIMEOUT_SECONDS = 10  # that ffmpeg has to end once its input is closed or it has failed

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -153,9 +153,9 @@ def read_mask(
     path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS, reading: Reading = DEFAULT_READING
 ) -> Bool[np.ndarray, "height width"]:
     """Read a mask: True (usable) where the first channel is at least half of white; else as :func:`read_panorama`."""
-    panorama = _read_sphere(
-        path, is_photograph=False, allow_aspect=allow_aspect, max_pixels=max_pixels, reading=reading
-    )
+    limits: dict[str, Any] = {"allow_aspect": allow_aspect, "max_pixels": max_pixels}
+    # linear light keeps its numbers
+    panorama = _read_sphere(path, is_photograph=False, reading=replace(reading, view_transform=False), **limits)
     bright = panorama.image[..., 0] >= 0.5
     return bright if panorama.mask is None else bright & panorama.mask
 

@@ -11,8 +11,7 @@ from xml.parsers.expat import ExpatError
 from omnisyn_cli.errors import ImageError
 
 XMP_HEADER = b"http://ns.adobe.com/xap/1.0/\0"  # with which the segment of the packet begins
-# Prefix and address of Google's tags. Source: Google, "Photo Sphere XMP Metadata".
-GPANO = ("GPano", "http://ns.google.com/photos/1.0/panorama/")
+GPANO = "http://ns.google.com/photos/1.0/panorama/"  # namespace of Google's tags: Google, "Photo Sphere XMP Metadata"
 EXIF_HEADER = b"Exif\0\0"  # with which the segment of EXIF begins
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"  # namespace of RDF, which XMP is written in
 XMLNS = "http://www.w3.org/2000/xmlns/"  # namespace of declarations of namespaces
@@ -29,12 +28,11 @@ JPEG_MAGIC = bytes([0xFF, START_OF_IMAGE])  # the first bytes of every JPEG
 MAX_SEGMENT_BYTES = 65533  # of the content of a segment: its length is a number of 16 bits and counts itself
 
 
-def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
-    """A JPEG of these bytes with some XMP properties; everything else of it stays as it is, to the byte.
+def with_gpano(path: Path, data: bytes, values: Mapping[str, str]) -> bytes:
+    """A JPEG of these bytes with some GPano tags in its XMP; everything else of it stays as it is, to the byte.
 
     Other properties of its packet stay too. A new packet takes the place of the old one, and its length if it fits.
-    ``namespace`` is prefix and address of the properties; errors speak of ``path``.
-    ImageError: no JPEG, a damaged packet, or one that grows too large.
+    ImageError about ``path``: no JPEG, a damaged packet, or one that grows too large.
     """
     exif, packets = 2, []
     for marker, begin, end in _segments(path, data):
@@ -45,7 +43,7 @@ def with_properties(path: Path, data: bytes, namespace: tuple[str, str], values:
             packets.append((begin, end))
     first = packets[0] if packets else (exif, exif)
     old = data[first[0] + 4 + len(XMP_HEADER) : first[1]]
-    xml = PACKET_BEGIN + _edited(path, old, namespace, values) + b"\n"
+    xml = PACKET_BEGIN + _edited(path, old, values) + b"\n"
     blanks = b" " * max(len(old) - len(xml) - len(PACKET_END), 0)  # then nothing behind the packet moves
     content = XMP_HEADER + xml + blanks + PACKET_END
     if len(content) > MAX_SEGMENT_BYTES:
@@ -82,24 +80,23 @@ def _segments(path: Path, data: bytes) -> Iterator[tuple[int, int, int]]:
     raise ImageError(f"{path}: expected a JPEG, got a file without a picture; replace it")
 
 
-def _edited(path: Path, packet: bytes, namespace: tuple[str, str], values: Mapping[str, str]) -> bytes:
+def _edited(path: Path, packet: bytes, values: Mapping[str, str]) -> bytes:
     root = _parsed(path, packet or NEW_PACKET)
     found = ((node, node.parentNode) for node in root.getElementsByTagNameNS(RDF, "Description"))
     # of the picture, not of a part of a structure
     descriptions = [node for node, above in found if above and (above.namespaceURI, above.localName) == (RDF, "RDF")]
     if not descriptions:
-        return _edited(path, NEW_PACKET, namespace, values)
-    prefix, address = namespace
+        return _edited(path, NEW_PACKET, values)
     for description in descriptions:
         for name in values:
-            if description.hasAttributeNS(address, name):
-                description.removeAttributeNS(address, name)
-        for old in [node for node in description.childNodes if node.namespaceURI == address]:
+            if description.hasAttributeNS(GPANO, name):
+                description.removeAttributeNS(GPANO, name)
+        for old in [node for node in description.childNodes if node.namespaceURI == GPANO]:
             if old.localName in values:
                 description.removeChild(old)
-    descriptions[0].setAttributeNS(XMLNS, f"xmlns:{prefix}", address)
+    descriptions[0].setAttributeNS(XMLNS, "xmlns:GPano", GPANO)
     for name, value in values.items():
-        descriptions[0].setAttributeNS(address, f"{prefix}:{name}", value)
+        descriptions[0].setAttributeNS(GPANO, f"GPano:{name}", value)
     return root.toxml("utf-8")
 
 

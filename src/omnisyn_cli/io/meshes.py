@@ -6,6 +6,7 @@ The archive is described in ``docs/scenes.md``. Source of PLY: Turk, The PLY Pol
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -63,10 +64,8 @@ def _checked(mesh: TexturedMesh, path: Path, scale: float) -> TexturedMesh:
         raise InputError(
             f"expected a room or a street in {path}, got a mesh of {extent:.3g} m; is it in other units? Use --scale"
         )
-    return TexturedMesh(
-        np.nan_to_num(vertices), mesh.faces[kept], mesh.uv, mesh.face_material[kept], mesh.materials,
-        mesh.vertex_colours, mesh.light_uv, mesh.light_map,
-    )  # fmt: skip
+    faces, materials = mesh.faces[kept], mesh.face_material[kept]
+    return replace(mesh, vertices=np.nan_to_num(vertices), faces=faces, face_material=materials)
 
 
 def _read_archive(path: Path) -> TexturedMesh:

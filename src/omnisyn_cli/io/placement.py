@@ -13,9 +13,6 @@ from omnisyn_cli.io.decode import ImageHeader
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 MAX_TAGGED_PIXELS = 2**31  # largest size in a tag that is believed, in pixels: products of two sizes stay exact
 
-Crop = tuple[float, float, float, float, float, float]
-"""As :class:`Placement`, in pixels of the stitched panorama, before it was scaled."""
-
 
 @dataclass(frozen=True)
 class Placement:
@@ -132,14 +129,24 @@ def _google_placement(header: ImageHeader, height: int, width: int) -> Placement
     # A picture that was scaled after stitching keeps the tags of its former size: they are proportions.
     across, down = width / crop_width, height / crop_height
     is_even = abs(across - down) <= 1 / crop_width + 1 / crop_height
-    if is_even and full_width == 2 * full_height:
-        return _evenly_scaled(crop, height, width)
-    full = max(round(full_height * down), height), max(round(full_width * across), width)
-    return Placement(height, width, round(top * down), round(left * across), *full)
+    if not is_even or full_width != 2 * full_height:
+        full = max(round(full_height * down), height), max(round(full_width * across), width)
+        return Placement(height, width, round(top * down), round(left * across), *full)
+    # Height and width were rounded each on its own: this sphere explains both best (least squares), holds them, and is
+    # 2:1 again.
+    factor = (height * crop_height + width * crop_width) / (crop_height**2 + crop_width**2)
+    rows = max(round(full_height * factor), height, (width + 1) // 2)
+    scale = rows / full_height
+    first_row = round((top + crop_height / 2) * scale - height / 2)
+    first_col = round((left + crop_width / 2) * scale - width / 2)
+    begin = min(max(first_row, 0), rows - height), min(max(first_col, 0), 2 * rows - width)
+    return Placement(height, width, *begin, rows, 2 * rows)
 
 
-def _tagged_crop(header: ImageHeader, height: int, width: int) -> Crop | None:
-    """The rectangle that GPano tags speak of, or None where they speak of the whole sphere or of none."""
+def _tagged_crop(
+    header: ImageHeader, height: int, width: int
+) -> tuple[float, float, float, float, float, float] | None:
+    """A :class:`Placement` in pixels before scaling, as GPano tags say it; None where they say all of it or nothing."""
     full_width = header.number("GPano:FullPanoWidthPixels")
     full_height = header.number("GPano:FullPanoHeightPixels")
     if full_width is None or full_height is None:
@@ -157,16 +164,3 @@ def _tagged_crop(header: ImageHeader, height: int, width: int) -> Crop | None:
             f"({left:g}, {top:g}) of {full_width:g}×{full_height:g}; correct or remove the GPano tags"
         )
     return crop_height, crop_width, top, left, full_height, full_width
-
-
-def _evenly_scaled(crop: Crop, height: int, width: int) -> Placement:
-    """A crop of a 2:1 sphere, scaled by one factor to ``height × width``, in a sphere that is 2:1 again."""
-    crop_height, crop_width, crop_top, crop_left, crop_full_height, _ = crop
-    # Height and width were rounded each on its own: this sphere explains both best (least squares) and holds them.
-    factor = (height * crop_height + width * crop_width) / (crop_height**2 + crop_width**2)
-    full_height = max(round(crop_full_height * factor), height, (width + 1) // 2)
-    scale = full_height / crop_full_height
-    top = round((crop_top + crop_height / 2) * scale - height / 2)
-    left = round((crop_left + crop_width / 2) * scale - width / 2)
-    top, left = min(max(top, 0), full_height - height), min(max(left, 0), 2 * full_height - width)
-    return Placement(height, width, top, left, full_height, 2 * full_height)

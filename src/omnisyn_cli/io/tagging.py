@@ -6,7 +6,7 @@ from typing import Any
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.decode import ImageHeader, check_is_file, read_header
-from omnisyn_cli.io.jpeg_metadata import GPANO, with_properties
+from omnisyn_cli.io.jpeg_metadata import with_gpano
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.io.placement import Reading, area_tags, placement_of
 from omnisyn_cli.io.spherical import SphericalMetadata, inject_spherical, read_spherical
@@ -52,7 +52,7 @@ def write_tags(path: Path, target: Path, stereo_mode: str, reading: Reading) -> 
         return
     tags = {"UsePanoramaViewer": "True", "ProjectionType": "equirectangular"}
     tags |= area_tags(placement_of(read_header(path), reading))
-    write_parts(target, [with_properties(path, path.read_bytes(), GPANO, tags)])
+    write_parts(target, [with_gpano(path, path.read_bytes(), tags)])
 
 
 def described_tags(path: Path) -> dict[str, Any]:

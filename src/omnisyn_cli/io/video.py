@@ -15,19 +15,10 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import OutputPathError
-from omnisyn_cli.io.encode import (
-    IMAGE_SUFFIXES,
-    ImageSequence,
-    check_sequence,
-    image_sequence,
-    is_ambiguous,
-    is_sequence,
-    open_sequence,
-)
-from omnisyn_cli.io.encoders import CODECS, PLANAR_FORMAT, EncoderSettings, check_settings, encoder_command, raw_format
+from omnisyn_cli.io import encode, encoders
+from omnisyn_cli.io.encoders import CODECS, EncoderSettings, Soundtrack
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
 from omnisyn_cli.io.outputs import check_output, temporary_name
-from omnisyn_cli.io.soundtrack import Soundtrack
 from omnisyn_cli.io.spherical import inject_spherical
 
 # What a folder of frames can be made of.
@@ -95,27 +86,25 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     target = Path(path)
     resolved = _checked(target, overwrite, encoding)
     if isinstance(resolved, EncoderSettings):
-        stereo_mode = encoding.get("stereo_mode", "mono")
-        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, stereo_mode, overwrite=overwrite)
+        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, overwrite=overwrite)
     else:
-        place = open_sequence(resolved, encoding["size"], overwrite=overwrite)
+        place = encode.open_sequence(resolved, encoding["size"], overwrite=overwrite)
     with place as sink:
         yield sink
 
 
-def _checked(path: Path, overwrite: bool, encoding: Encoding) -> ImageSequence | EncoderSettings:
+def _checked(path: Path, overwrite: bool, encoding: Encoding) -> encode.ImageSequence | EncoderSettings:
     resolved = _resolved(path, **encoding)
     if isinstance(resolved, EncoderSettings):
         check_output(path, overwrite)
     else:
-        check_sequence(resolved, overwrite)
+        encode.check_sequence(resolved, overwrite)
     return resolved
 
 
-def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> ImageSequence | EncoderSettings:
+def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> encode.ImageSequence | EncoderSettings:
     """The image sequence that a path means, or how its video is encoded."""
     sequence = _sequence_of(path, codec)
-    encoding.pop("stereo_mode", None)  # nothing that an encoder sees
     if sequence is None:
         if codec in IMAGE_CODECS:
             raise OutputPathError(
@@ -123,7 +112,7 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
                 "name a folder for images"
             )
         settings = EncoderSettings(codec=codec or "h264", **encoding)
-        check_settings(path, settings)
+        encoders.check_settings(path, settings)
         return settings
     if encoding.get("crf") is not None or encoding.get("preset") is not None:
         raise OutputPathError(f"{path}: expected no quality or preset for a folder of frames, got one; leave it out")
@@ -131,14 +120,12 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
 
 
 @contextmanager
-def _encoded(
-    target: Path, settings: EncoderSettings, stereo_mode: str | None, *, overwrite: bool
-) -> Iterator[EncoderProcess]:
+def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Iterator[EncoderProcess]:
     """An encoder to a hidden file, which becomes ``target``, tagged as spherical, when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
-    command, shape = encoder_command(encoded, settings), (*settings.size, 3)
+    command, shape = encoders.encoder_command(encoded, settings), (*settings.size, 3)
     packed: Packing | None = None
-    if raw_format(settings) == PLANAR_FORMAT:
+    if encoders.raw_format(settings) == encoders.PLANAR_FORMAT:
         from omnisyn_cli.io.yuv import PlanarFrames  # a kernel, which a plan does without
 
         packed = PlanarFrames(settings.size)
@@ -146,17 +133,17 @@ def _encoded(
         with EncoderProcess(command, target, shape, settings.dtype, packed) as encoder:
             yield encoder
         check_output(target, overwrite)  # somebody else may have made one in the meantime
-        inject_spherical(encoded, target, stereo_mode)
+        inject_spherical(encoded, target, settings.stereo_mode)
     finally:
         encoded.unlink(missing_ok=True)
 
 
-def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
+def _sequence_of(path: Path, codec: str | None) -> encode.ImageSequence | None:
     """The images that a path means, or None for a video: a doubtful name means one unless images are asked for."""
-    if codec not in IMAGE_CODECS and is_ambiguous(path):
+    if codec not in IMAGE_CODECS and encode.is_ambiguous(path):
         return None
-    if not is_sequence(path):
-        if path.suffix.lower() in IMAGE_SUFFIXES:
+    if not encode.is_sequence(path):
+        if path.suffix.lower() in encode.IMAGE_SUFFIXES:
             raise OutputPathError(
                 f"{path}: expected a video, a folder or a pattern, got one image; add a frame number such as %06d"
             )
@@ -166,7 +153,7 @@ def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
             f"{path}: expected one of {', '.join(IMAGE_CODECS)} for a folder of frames, got codec '{codec}'; "
             "name a video file such as video.mp4 instead"
         )
-    sequence = image_sequence(path, IMAGE_CODECS[codec or "png"][0])
+    sequence = encode.image_sequence(path, IMAGE_CODECS[codec or "png"][0])
     if codec is not None and not sequence.after.lower().endswith(IMAGE_CODECS[codec]):
         endings = " or ".join(IMAGE_CODECS[codec])
         raise OutputPathError(f"{path}: expected a pattern ending in {endings} for {codec}; change the pattern")

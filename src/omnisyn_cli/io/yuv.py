@@ -70,7 +70,9 @@ def _convert_rows(rgb, luma, blue, red):
             sums[k * STRIDE] = np.float32(flat[upper + last]) + np.float32(flat[lower + last])
         for left in range(0, width, PIXELS_PER_RUN):
             right = min(left + PIXELS_PER_RUN, width)
-            _start_chroma_sums(flat[upper + 3 * left : upper + 3 * right], luma[2 * row, left:right], sums)
+            for k in range(3):
+                sums[k * STRIDE + 1 : (k + 1) * STRIDE] = 0.0
+            _add_chroma_sums(flat[upper + 3 * left : upper + 3 * right], luma[2 * row, left:right], sums)
             _add_chroma_sums(flat[lower + 3 * left : lower + 3 * right], luma[2 * row + 1, left:right], sums)
             _write_chroma(sums, blue[row, left // 2 : right // 2], red[row, left // 2 : right // 2])
             for k in range(3):
@@ -78,17 +80,8 @@ def _convert_rows(rgb, luma, blue, red):
 
 
 @fast_subkernel()
-def _start_chroma_sums(rgb, luma, sums):
-    """Luma of a run of pixels, three samples each; they are put into ``sums``, channel after channel."""
-    for col in range(len(luma)):
-        r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
-        luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
-        sums[1 + col], sums[STRIDE + 1 + col], sums[2 * STRIDE + 1 + col] = r, g, b
-
-
-@fast_subkernel()
 def _add_chroma_sums(rgb, luma, sums):
-    """As :func:`_start_chroma_sums`; the samples are added."""
+    """Luma of a run of pixels, three samples each; they are added to ``sums``, channel after channel."""
     for col in range(len(luma)):
         r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))

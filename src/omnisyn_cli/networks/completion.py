@@ -6,8 +6,7 @@ filled map, and which is likelier: at an edge one follows the near surface and t
 never lies between them. At the coarsest stride each position attends to all others, biased by the angle between them.
 For inputs see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
 
-Source: Tosi et al., SMD-Nets, 2021; OmniSyn, section 3.3 (monocular skip); Vaswani et al., Attention is all you need,
-2017.
+Source: Tosi et al., SMD-Nets, 2021; OmniSyn, 3.3 (monocular skip); Vaswani et al., Attention is all you need, 2017.
 """
 
 from dataclasses import dataclass
@@ -17,9 +16,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_to_angles
-from omnisyn_cli.networks.interface import DepthPrediction
+from omnisyn_cli.networks.interface import DepthPrediction, RefinementUNet, RefinementUNetConfig
 from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, init_small, initialise
-from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 FILLED_CHANNEL = 3  # Input channel with the filled √(inverse depth × baseline) that is corrected
 CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6  # Input channels where matching is reliable: left-right consistent, or sky

@@ -86,29 +86,31 @@ class InvertedResidual(nn.Module):
 
 
 class EfficientNetLite0(nn.Module):
-    """Colours in [0, 1] in, feature maps at strides 2, 4, 8, 16 and 32 out."""
+    """Colours in [0, 1] in, feature maps at strides 2, 4, 8, 16 and 32 out; with fewer ``blocks`` not all of them."""
 
-    def __init__(self) -> None:
+    def __init__(self, blocks: int = 16) -> None:
         super().__init__()
         shifts = iter(STRIDE_CENTRE_OFFSETS)
         self.stem = SphereConv(3, 32, 3, 2, next(shifts))
         self.stem_norm = FrozenBatchNorm(32)
-        blocks = []
+        made = []
         for repeats, kernel, stride, expansion, inputs, outputs in STAGES:
             shift = next(shifts) if stride > 1 else 0
-            blocks.append(InvertedResidual(inputs, outputs, kernel, stride, expansion, shift))
-            blocks += [InvertedResidual(outputs, outputs, kernel, 1, expansion, 0) for _ in range(repeats - 1)]
-        self.blocks = nn.ModuleList(blocks)
+            made.append(InvertedResidual(inputs, outputs, kernel, stride, expansion, shift))
+            made += [InvertedResidual(outputs, outputs, kernel, 1, expansion, 0) for _ in range(repeats - 1)]
+        self.blocks = nn.ModuleList(made[:blocks])
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> list[Tensor]:
         """Five maps with :data:`CHANNELS` channels; height and width are multiples of 32."""
-        x = functional.relu6(self.stem_norm(self.stem(image * 2.0 - 1.0)))
-        features = []
-        for index, block in enumerate(self.blocks):
-            x = block(x)
-            if index in TAPS:
-                features.append(x)
-        return features
+        maps = self.maps(image)
+        return [maps[index] for index in TAPS]
+
+    def maps(self, image: Float[Tensor, "batch 3 height width"]) -> list[Tensor]:
+        """What every block answers."""
+        found = [functional.relu6(self.stem_norm(self.stem(image * 2.0 - 1.0)))]
+        for block in self.blocks:
+            found.append(block(found[-1]))
+        return found[1:]
 
 
 def from_classifier(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:

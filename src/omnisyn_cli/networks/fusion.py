@@ -3,9 +3,7 @@
 ``paper`` predicts colours from two renderings and their visibility masks, at one resolution. ``residual`` sees
 :mod:`omnisyn_cli.fusion.input_channels` and the backward-warped candidates of
 :mod:`omnisyn_cli.fusion.warp_candidates`, and predicts the weight of each candidate in a pixel, small ones at first.
-Candidates are photographs: frames stay as sharp as these.
-
-Source: OmniSyn, section 3.5.
+Candidates are photographs: frames stay as sharp as these. Source: OmniSyn, section 3.5.
 """
 
 import itertools
@@ -16,10 +14,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.interface import Network, Ports, check_multiple
+from omnisyn_cli.networks.interface import Network, Ports, RefinementUNet, RefinementUNetConfig, check_multiple
 from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
 from omnisyn_cli.networks.paper import RGB_CHANNELS, Block, upsample_linear
-from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 # Input channels: where either layer shows anything; whether it matters which one is shown; √(inverse depth × baseline)
 # of the depth hypotheses.

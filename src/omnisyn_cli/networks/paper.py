@@ -34,8 +34,7 @@ class UNet(nn.Module):
     """Blocks downwards with average pooling, and upwards with linear enlargement and skips; of images or volumes.
 
     As in the authors' network the first block on the way up has no skip, and blocks there have half the channels of the
-    level that they come from. ``widths`` are channels downwards, the bottleneck last; up to level ``finest``, at 0 with
-    one channel.
+    level below. ``widths`` are channels downwards, the bottleneck last; up to level ``finest``, at 0 with one channel.
     """
 
     def __init__(self, inputs: int, widths: tuple[int, ...], *, finest: int, volumetric: bool = False) -> None:
@@ -74,8 +73,7 @@ class UNet(nn.Module):
 class Block(nn.Module):
     """Two 3×3 (or 3×3×3) convolutions with LeakyReLU; columns wrap, the other sides see zeros.
 
-    ``has_row`` adds a channel, ``enlarge`` doubles the size first, a slope ``leak`` of 1 leaves both convolutions
-    linear.
+    ``has_row`` adds a channel, ``enlarge`` doubles the size first, a ``leak`` of 1 leaves both convolutions linear.
     """
 
     def __init__(

@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Callable
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
 
@@ -18,6 +17,7 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_heading,
     rotation_from_quaternion,
 )
+from omnisyn_cli.io.documents import expected
 
 # Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits.
 UNIT_TOLERANCE = 1e-3
@@ -52,38 +52,27 @@ def _inside_folder(name: str, info: ValidationInfo) -> str:
     return name
 
 
-def _expected(what: str, holds: Callable[[Any], bool]) -> AfterValidator:
-    """A condition of a value, and the words of its error."""
-
-    def checked(value: Any) -> Any:
-        if not holds(value):
-            raise ValueError(what)
-        return value
-
-    return AfterValidator(checked)
-
-
 File = Annotated[str, AfterValidator(_inside_folder)]
 
 Matrix = Annotated[
     list[list[Metres]],
-    _expected(
+    expected(
         "a 3×3 or 4×4 matrix as a list of rows", lambda rows: len(rows) in (3, 4) and {*map(len, rows)} == {len(rows)}
     ),
 ]
 
-Quaternion = Annotated[list[float], _expected("a unit quaternion [w, x, y, z]", lambda numbers: len(numbers) == 4)]
+Quaternion = Annotated[list[float], expected("a unit quaternion [w, x, y, z]", lambda numbers: len(numbers) == 4)]
 
 Text = Annotated[
     str,
     Field(max_length=MAX_TEXT_CHARS),
-    _expected("text without control characters", lambda text: not CONTROL_CHARACTERS.search(text)),
+    expected("text without control characters", lambda text: not CONTROL_CHARACTERS.search(text)),
 ]
 
-FirstVersion = Annotated[Any, _expected("1, the only version there is", lambda n: type(n) is int and n == 1)]
+FirstVersion = Annotated[Any, expected("1, the only version there is", lambda n: type(n) is int and n == 1)]
 
 LinkEntry = Annotated[
-    list[str], _expected("the names of two different panoramas", lambda names: len(names) == 2 == len(set(names)))
+    list[str], expected("the names of two different panoramas", lambda names: len(names) == 2 == len(set(names)))
 ]
 
 
@@ -161,31 +150,29 @@ def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
     if (entry.rotation is None) == (entry.matrix is None):
         found = "both" if entry.rotation else "neither"
         raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
-    if entry.matrix is not None:
-        return _matrix_pose(where, np.array(entry.matrix), entry.position)
-    rotation = checked_quaternion(f"{where}.rotation", np.array(entry.rotation))
-    return Pose(rotation, _position(where, entry.position))
-
-
-def _position(where: str, position: list[float] | None) -> np.ndarray:
+    position = entry.position
+    if entry.matrix is None:
+        rotation = checked_quaternion(f"{where}.rotation", np.array(entry.rotation))
+    else:
+        matrix = np.array(entry.matrix)
+        position = _translation(where, matrix, position) if len(matrix) == 4 else position
+        rotation = checked_rotation(f"{where}.matrix", matrix[:3, :3])
     if position is None:
         raise PoseError(f"{where}: expected the key 'position', got none; add it as [x, y, z] in metres")
-    return np.array(position, float)
+    return Pose(rotation, np.array(position, float))
 
 
-def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -> Pose:
-    """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
-    if len(matrix) == 4:
-        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
-            raise PoseError(f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
-        translation = matrix[:3, 3]
-        if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}: expected position to agree with the 4×4 matrix, got {position} and "
-                f"{translation.tolist()}; remove position"
-            )
-        position = translation.tolist()
-    return Pose(checked_rotation(f"{where}.matrix", matrix[:3, :3]), _position(where, position))
+def _translation(where: str, matrix: np.ndarray, position: list[float] | None) -> list[float]:
+    """That of a 4×4 transform, with which a position agrees if there is one."""
+    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
+        raise PoseError(f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
+    translation: list[float] = matrix[:3, 3].tolist()
+    if position is not None and np.abs(np.subtract(translation, position)).max() > POSITION_TOLERANCE:
+        raise PoseError(
+            f"{where}: expected position to agree with the 4×4 matrix, got {position} and {translation}; remove "
+            "position"
+        )
+    return translation
 
 
 def checked_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

@@ -27,7 +27,7 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.placement import DEFAULT_READING, Reading
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, PoseUncertainty, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.floor import FLOOR_SIZE, floor_heights, height_above_points, level_of_points, spread_above
-from omnisyn_cli.poses.gravity import REMEDIES, gravity_of
+from omnisyn_cli.poses.gravity import REMEDIES, find_vertical, gravity_of
 from omnisyn_cli.poses.registration import pose_graph
 from omnisyn_cli.poses.registration.bundle import Adjustment, adjust
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
@@ -35,8 +35,7 @@ from omnisyn_cli.poses.registration.features import Matches, find_features, grey
 from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.poses.registration.pose_graph import Edge, Given
 from omnisyn_cli.poses.registration.robust import Estimate, support_mask
-from omnisyn_cli.poses.registration.scan import Scan, find_vertical, forget_tables, register_pair, scan_panorama
-from omnisyn_cli.poses.same_place import without_repeats
+from omnisyn_cli.poses.registration.scan import Scan, forget_tables, register_pair, scan_panorama, without_repeats
 from omnisyn_cli.poses.tour import links_between
 from omnisyn_cli.types import View
 
@@ -185,11 +184,12 @@ def estimate_poses(
 
     Baselines are metres between neighbours: their mean (:data:`DEFAULT_BASELINE` without any), or one for each pair.
     Points that several pairs share tell other ratios. ``camera_height``, metres above the floor, stands in for
-    baselines. InputError: unusable images, or another number of baselines; PoseError: too few matches, or no floor.
+    baselines. InputError: unusable images, fewer than two, or one named twice; another number of baselines. PoseError:
+    too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
-    lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
-    given = {(k, k + 1): length for k, length in enumerate(lengths)} if len(baselines) > 1 else {}
+    _check_baselines(baselines, len(images) - 1)
+    given = {(k, k + 1): length for k, length in enumerate(baselines)} if len(baselines) > 1 else {}
     options = options or PictureOptions()
     scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(images, options)]
     repeats: list[str] = []
@@ -389,12 +389,11 @@ def check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
         check_is_file(image)
 
 
-def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:
-    if len(baselines) not in (1, pairs):
+def _check_baselines(baselines: Sequence[float], pairs: int) -> None:
+    if len(baselines) not in (0, 1, pairs):
         raise InputError(f"expected one baseline, or one for each of {pairs} pairs, got {len(baselines)}; name as many")
     if not all(np.isfinite(length) and length > 0 for length in baselines):
         raise InputError(f"expected baselines above 0 m, got {', '.join(map(str, baselines))}; measure them")
-    return list(baselines) * (pairs if len(baselines) == 1 else 1)
 
 
 def usable_pictures(
@@ -404,12 +403,11 @@ def usable_pictures(
     if options.masks and len(options.masks) != len(images):
         raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
     limits: dict[str, Any] = {"allow_aspect": options.allow_aspect, "max_pixels": options.max_pixels}
-    mask_reading = replace(options.reading, view_transform=False)
     none = [None] * len(images)
     for image, *both in zip(images, masks or none, options.masks or none, strict=True):
         panorama = read_panorama(image, reading=options.reading, **limits)
         size = panorama.image.shape[:2]
-        yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=mask_reading, **limits)
+        yield panorama.image, usable_part(panorama.mask, size, both, options.nadir, reading=options.reading, **limits)
     forget_tables()
 
 

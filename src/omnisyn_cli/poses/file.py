@@ -10,7 +10,6 @@ positions is unknown.
 import difflib
 import json
 import math
-import os
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from typing import Any
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import listed, read_json, validated
-from omnisyn_cli.io.outputs import check_output, real_path, write_parts
+from omnisyn_cli.io.outputs import check_output, real_path, relative_name, write_parts
 from omnisyn_cli.poses.entries import (
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
@@ -294,23 +293,17 @@ def _uncertainty_values(uncertainty: PoseUncertainty | None) -> dict[str, dict[s
 
 def _companion_names(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:
     """The names by which a pose file calls depth and mask of an entry."""
-    files = {"depth": panorama.depth, "mask": panorama.mask}
-    return {k: _relative(path, name, k, file, allow_outside) for k, file in files.items() if file is not None}
-
-
-def _relative(path: Path, name: str, key: str, file: Path, allow_outside: bool) -> str:
-    folder = path.parent
-    is_below = ".." not in file.parts and file.absolute().is_relative_to(folder.absolute())
-    if allow_outside and not is_below:
-        place = real_path(file.parent)
-        try:
-            return Path(os.path.relpath(place, real_path(folder)), file.name).as_posix()
-        except ValueError:  # another drive
-            return (place / file.name).as_posix()
-    try:
-        return file.absolute().relative_to(folder.absolute()).as_posix()
-    except ValueError as error:
-        raise PoseError(
-            f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
-            "write the pose file beside it, or allow files elsewhere (--allow-outside)"
-        ) from error
+    folder, names = path.parent.absolute(), {}
+    for key, file in (("depth", panorama.depth), ("mask", panorama.mask)):
+        if file is None:
+            continue
+        if file.absolute().is_relative_to(folder) and not (allow_outside and ".." in file.parts):
+            names[key] = file.absolute().relative_to(folder).as_posix()
+        elif allow_outside:
+            names[key] = relative_name(real_path(file.parent) / file.name, real_path(folder))
+        else:
+            raise PoseError(
+                f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
+                "write the pose file beside it, or allow files elsewhere (--allow-outside)"
+            )
+    return names

@@ -71,14 +71,10 @@ class FloorPlan:
 
     def position_of(self, col: float, row: float) -> tuple[float, float]:
         """(x, z) in the world of a place in the picture: the similarity of the control points, without a mirror."""
-        moved = (complex(col, row) - complex(*self.pixels[0])) / self.pixels_per_metre + complex(*self.positions[0])
-        return moved.real, moved.imag
-
-    @property
-    def pixels_per_metre(self) -> complex:
-        """Scale and turn of the picture: rows grow downwards as z grows southwards."""
         (first, second), (here, there) = ([complex(*at) for at in both] for both in (self.pixels, self.positions))
-        return (second - first) / (there - here)
+        pixels_per_metre = (second - first) / (there - here)  # scale and turn: rows grow downwards, z southwards
+        moved = (complex(col, row) - first) / pixels_per_metre + here
+        return moved.real, moved.imag
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,8 @@
-"""``tour.json``: titles, captions, links, hotspots, the start view and the floor plan of a tour.
+"""``tour.json``: titles, captions, links, hotspots, the start view and the floor plan of a tour; see ``docs/tours.md``.
 
-The file lies beside the pose file and names panoramas as that does. All of it is optional::
-
-    {"version": 1, "title": "Town hall",
-     "start": {"panorama": "a.jpg", "yaw": 30, "pitch": -5, "fov": 75},
-     "links": [["a.jpg", "b.jpg"]],
-     "panoramas": {"a.jpg": {"title": "Entrance", "caption": "Built in 1905.",
-                             "hotspots": [{"text": "Door", "yaw": 20, "pitch": 0, "link": "https://example.org"}]}},
-     "hotspots": [{"text": "Clock", "point": [1, 2, -3], "image": "clock.jpg"}],
-     "plan": {"image": "plan.png", "points": [{"pixel": [10, 20], "panorama": "a.jpg"},
-                                              {"pixel": [90, 20], "position": [4, 0, 0]}]}}
-
-Angles are degrees: ``yaw`` to the right of the centre of the panorama's picture, ``pitch`` upwards. The pose file may
-have ``links``, ``title`` and ``caption`` too; ``tour.json`` overrides them.
+The file lies beside the pose file and names panoramas as that does. All of it is optional. Angles are degrees: ``yaw``
+to the right of the centre of the panorama's picture, ``pitch`` upwards. The pose file may have ``links``, ``title`` and
+``caption`` too; ``tour.json`` overrides them.
 """
 
 import math
@@ -135,10 +125,8 @@ class _Source:
 
     def panorama(self, name: str, image: Path) -> TourPanorama:
         posed, entry = self._poses.panoramas[name], self._entries.get(name, _PanoramaEntry())
-        title, caption = (
-            own if own is not None else given
-            for own, given in ((entry.title, posed.title), (entry.caption, posed.caption))
-        )
+        title = posed.title if entry.title is None else entry.title
+        caption = posed.caption if entry.caption is None else entry.caption
         hotspots = self.hotspots(entry.hotspots, name)
         return TourPanorama(name, image, posed.pose, title or image.stem, caption, hotspots)
 

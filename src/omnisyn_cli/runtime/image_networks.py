@@ -34,8 +34,7 @@ class CompletionSession:
 class GuidedDepthSession:
     """Two upright panoramas in, depth of the first out; a :class:`omnisyn_cli.stereo.expected_depth.PriorModel`.
 
-    Nothing was matched when it is asked, so its guidance is zero. It is opened when it is first asked, as many pairs do
-    not need it.
+    Nothing was matched when it is asked: its guidance is zero. It is opened when first asked: many pairs need it not.
     """
 
     def __init__(self, open_session: Callable[[], Any]) -> None:

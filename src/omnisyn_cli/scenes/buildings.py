@@ -29,8 +29,7 @@ def town_house(
 ) -> None:
     """Add a house of several floors with windows, ledges, balconies, shop signs and awnings.
 
-    ``base``: middle of the front's foot, facing −x at ``side`` 1, or z if ``facing_z``; ``detailed`` has what is seen
-    near by.
+    ``base``: middle of the front's foot, facing −x at ``side`` 1, or z if ``facing_z``; ``detailed``: seen near by.
     """
     rng = build.rng
     floor = rng.uniform(2.8, 3.6)

@@ -3,10 +3,9 @@
 Homes have walls with little texture, and cameras close to the furniture.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -118,7 +117,7 @@ def _add_outdoors(build: SceneBuilder, level: float) -> None:
 def _draw_openings(rng: np.random.Generator, cells: Sequence[Cell]) -> list[Openings]:
     """Doors between neighbours and windows to the outside, by cell and by wall: west, east, south, north."""
     openings: list[Openings] = [{name: [] for name in WALLS} for _ in cells]
-    for (left, west), (right, east) in itertools.pairwise(zip(cells, openings, strict=True)):
+    for (left, west), (right, east) in pairwise(zip(cells, openings, strict=True)):
         low, high = max(left.low[1], right.low[1]) + 0.3, min(left.high[1], right.high[1]) - 0.3
         door = _draw_door(rng, low, high, left.height)
         west["east"].append(door)

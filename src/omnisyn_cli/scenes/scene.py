@@ -1,8 +1,7 @@
 """A scene as arrays: shapes and their triangles, materials, a ground, a sky, a sun and lamps.
 
 The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape,
-which fills the cube [-1, 1]³ as far as it can, in a box of half sizes ``half`` that is rotated and moved. A generator
-collects the shapes in a :class:`SceneBuilder`.
+which fills the cube [-1, 1]³ as far as it can, in a box of half sizes ``half`` that is rotated and moved.
 """
 
 import math

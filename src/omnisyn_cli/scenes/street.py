@@ -1,7 +1,4 @@
-"""Streets: a road along z with kerbs, pavements, house fronts, crossings and all that stands between them.
-
-The ground follows the slope of the plan.
-"""
+"""Streets: a road along z on a slope, with kerbs, pavements, house fronts, crossings, and all that stands between."""
 
 import itertools
 import math

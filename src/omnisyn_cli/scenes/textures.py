@@ -51,29 +51,19 @@ def _inside(u, v, u0, v0, u1, v1, footprint):  # type: ignore[no-untyped-def]
 
 
 @fast_subkernel
-def _brick(m, u, v, fp):  # type: ignore[no-untyped-def]
+def _masonry(m, u, v, fp, is_brick):  # type: ignore[no-untyped-def]
+    """Bricks of any tone, each second row half a cell further on; or tiles of one tone or the other."""
     cu, cv, line = m.cell[0], m.cell[1], m.line
     row = math.floor(v / cv)
-    shifted = u / cu + 0.5 * (row & 1)
-    column = math.floor(shifted)
-    mortar = 1.0 - (1.0 - pulse(shifted, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
+    across = u / cu + 0.5 * (row & 1) if is_brick else u / cu
+    column = math.floor(across)
+    joint = 1.0 - (1.0 - pulse(across, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
     visible = _visible(min(cu, cv), fp)
     chance = cell_hash(int(column), int(row), m.seed)
-    other = m.detail + (chance - m.detail) * visible
-    lightness = 1.0 + 0.28 * visible * (cell_hash(int(column), int(row), m.seed + 1) - 0.5)
-    return other, mortar, lightness, 1.0 - mortar, 1.0
-
-
-@fast_subkernel
-def _tiles(m, u, v, fp):  # type: ignore[no-untyped-def]
-    cu, cv, line = m.cell[0], m.cell[1], m.line
-    column, row = math.floor(u / cu), math.floor(v / cv)
-    joint = 1.0 - (1.0 - pulse(u / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
-    visible = _visible(min(cu, cv), fp)
-    chance = cell_hash(int(column), int(row), m.seed)
-    other = m.detail + ((1.0 if chance < m.detail else 0.0) - m.detail) * visible
-    lightness = 1.0 + 0.14 * visible * (cell_hash(int(column), int(row), m.seed + 1) - 0.5)
-    return other, joint, lightness, 1.0 - joint, 1.0
+    tone = chance if is_brick else (1.0 if chance < m.detail else 0.0)
+    contrast = (0.28 if is_brick else 0.14) * visible
+    lightness = 1.0 + contrast * (cell_hash(int(column), int(row), m.seed + 1) - 0.5)
+    return m.detail + (tone - m.detail) * visible, joint, lightness, 1.0 - joint, 1.0
 
 
 @fast_subkernel
@@ -307,10 +297,8 @@ def pattern_at(m, point, fp):  # type: ignore[no-untyped-def]  # noqa: C901
     # one flat list: numba compiles every level of calls again for the level above
     pattern = m.pattern
     result = (0.0, 0.0, 1.0, 1.0, 1.0)
-    if pattern == Pattern.BRICK:
-        result = _brick(m, u, v, fp)
-    elif pattern == Pattern.TILES:
-        result = _tiles(m, u, v, fp)
+    if pattern in (Pattern.BRICK, Pattern.TILES):
+        result = _masonry(m, u, v, fp, pattern == Pattern.BRICK)
     elif pattern == Pattern.CHECKER:
         result = _checker(m, u, v, fp)
     elif pattern == Pattern.PLANKS:

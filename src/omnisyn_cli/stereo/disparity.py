@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float, UInt16
 
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.compute.threads import run_ranges
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
 from omnisyn_cli.geometry.tolerances import LEFT_RIGHT_TOLERANCE
-from omnisyn_cli.stereo.costs import cost_volume, luminance_of
-from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
-from omnisyn_cli.stereo.rectify import RectifiedPair
+from omnisyn_cli.stereo.costs import cost_volume, is_textured, luminance_of
+from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, rectify
 from omnisyn_cli.stereo.semi_global import DisparityRange, aggregate_costs, uniqueness_margin, winner_takes_all
+from omnisyn_cli.types import View
 
 # Impossible disparities that are tried all the same: what has no match takes these, not the least wrong possible one.
 # (Without them the shadow of a lamp on an untextured road fell to pieces.)
@@ -192,3 +193,28 @@ def is_measurable(grid: EpipolarGrid, disparity: np.ndarray) -> Bool[np.ndarray,
     """Not next to an epipole, and no claim of infinity in the wider surroundings of one."""
     is_infinity_known = grid.is_away_from_epipoles(EPIPOLE_NO_INFINITY_DEG)
     return np.asarray(grid.is_away_from_epipoles(EPIPOLE_BLIND_DEG) & ((disparity >= 1.0) | is_infinity_known))
+
+
+AGREEMENT_ROWS = 128  # of a pair that is matched for its pose alone: a twentieth of a second
+# Disparity from which on a match speaks for a direction: what is far matches whatever the direction.
+MIN_PARALLAX_ROWS = 1.5
+
+
+def dense_agreement(first: View, second: View, first_from_second: Pose) -> float:
+    """Share of the texture of both panoramas, by solid angle, that has consistent matches with parallax.
+
+    Repeated things, such as the goods on a shelf, can make sparse matches support a direction and its opposite equally
+    well. Dense matches tell the two apart: on 28 generated and ray-traced pairs the true direction has 1.5 to 13 times
+    as many as the opposite one. Their own poses do not matter; ``first_from_second`` is of two positions.
+    """
+    posed = View(first.image, Pose.identity(), first.mask), View(second.image, first_from_second, second.mask)
+    options = MatchingOptions(size=(2 * AGREEMENT_ROWS, 4 * AGREEMENT_ROWS))
+    pair = rectify(*posed, (AGREEMENT_ROWS, 2 * AGREEMENT_ROWS))
+    pairs = pair, pair.reversed()
+    matches = match_all_disparities(pairs[0], options), match_all_disparities(pairs[1], options)
+    shares = []
+    for each, found in zip(pairs, left_right_check(matches, options.left_right_rows), strict=True):
+        texture = np.sin(each.grid.polar_angle) * (is_textured(each.first) & each.first_usable)
+        agrees = found.valid & (found.disparity >= MIN_PARALLAX_ROWS)
+        shares.append(float((texture * agrees).sum() / max(float(texture.sum()), 1e-9)))
+    return 0.5 * sum(shares)

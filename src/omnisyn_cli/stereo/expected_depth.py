@@ -23,9 +23,10 @@ from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sampling import filter_across_seam, rotated_directions, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, solid_angles
 from omnisyn_cli.geometry.sweep import forward_frame
-from omnisyn_cli.stereo.depth_prior import MIN_CONFIDENCE, MIN_SQRT_INV_DEPTH, DepthPrior
+from omnisyn_cli.stereo import rectify
 from omnisyn_cli.stereo.disparity import DisparityMap, is_measurable
-from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, are_near, find_planes
+from omnisyn_cli.stereo.plane_sweep import Directions, fit_plane
 from omnisyn_cli.stereo.stereo_features import InvDepthWithConfidence, StereoFeatures
 from omnisyn_cli.types import View
 
@@ -65,12 +66,12 @@ class PriorModel(Protocol):
 
 Matches = tuple[DisparityMap, DisparityMap]  # what was matched in both directions of a pair
 # Returns a pair with what is expected of both panoramas, given their views and matches: :func:`with_guided_priors`.
-PairPrior = Callable[[RectifiedPair, View, View, Matches], RectifiedPair]
+PairPrior = Callable[[rectify.RectifiedPair, View, View, Matches], rectify.RectifiedPair]
 
 
 def with_guided_priors(
-    pair: RectifiedPair, first: View, second: View, matches: Matches | None = None, *, model: PriorModel
-) -> RectifiedPair:
+    pair: rectify.RectifiedPair, first: View, second: View, matches: Matches | None = None, *, model: PriorModel
+) -> rectify.RectifiedPair:
     """The pair with what the network expects of both panoramas; as it is where matches, if there are any, contradict.
 
     The network sees one after the other.
@@ -86,7 +87,7 @@ def with_guided_priors(
     return pair if is_contradicted else expecting
 
 
-def median_disagreement(pair: RectifiedPair, matches: Matches) -> float:
+def median_disagreement(pair: rectify.RectifiedPair, matches: Matches) -> float:
     """Of the logarithms of inverse depth that a prior expects and consistent matches say, but for a common factor.
 
     Infinite without matches: nothing tells then what the prior is worth.
@@ -104,7 +105,9 @@ def median_disagreement(pair: RectifiedPair, matches: Matches) -> float:
     return float(np.mean(medians))
 
 
-def _priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -> tuple[DepthPrior, DepthPrior]:
+def _priors(
+    pair: rectify.RectifiedPair, first: View, second: View, model: PriorModel
+) -> tuple[rectify.DepthPrior, rectify.DepthPrior]:
     right = forward_frame(first.pose, second.pose)[0].rotation[:, 0]
     upright = np.stack([right, UP, np.cross(right, UP)], axis=1)  # the second camera ahead
     motion = upright.T @ (second.pose.position - first.pose.position)
@@ -117,14 +120,14 @@ def _priors(pair: RectifiedPair, first: View, second: View, model: PriorModel) -
     frame, size = pair.world_from_frame, pair.size
     return (
         in_frame(frame, size, upright, of_first),
-        in_frame(frame @ HALF_TURN_ABOUT_Z, size, upright @ HALF_TURN_ABOUT_Y, of_second),
+        in_frame(frame @ rectify.HALF_TURN_ABOUT_Z, size, upright @ HALF_TURN_ABOUT_Y, of_second),
     )
 
 
 def in_frame(
     world_from_frame: Float[np.ndarray, "3 3"], size: tuple[int, int], world_from_prior: Float[np.ndarray, "3 3"],
-    prior: DepthPrior,
-) -> DepthPrior:  # fmt: skip
+    prior: rectify.DepthPrior,
+) -> rectify.DepthPrior:  # fmt: skip
     """A prior in a frame of another orientation and ``size``, given the orientation that it has."""
     directions = rotated_directions(size, world_from_prior, world_from_frame)
     return prior.remapped(RemapTable.for_directions(directions, NETWORK_SIZE))
@@ -133,7 +136,7 @@ def in_frame(
 def _prior(
     own: Float32[np.ndarray, "3 height width"], other: Float32[np.ndarray, "3 height width"],
     towards: Float[np.ndarray, " 3"], model: PriorModel,
-) -> DepthPrior:  # fmt: skip
+) -> rectify.DepthPrior:  # fmt: skip
     """What the network expects of a panorama, as it sees it."""
 
     def answer(baseline: float) -> tuple[np.ndarray, np.ndarray]:
@@ -143,9 +146,9 @@ def _prior(
     (short, short_confidence), (long, long_confidence) = (answer(baseline) for baseline in BASELINES)
     sqrt_inv_depth, half_range = np.sqrt(short * long), 0.5 * np.abs(long - short)
     confidence = 0.5 * (short_confidence + long_confidence)
-    spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, MIN_CONFIDENCE, 0.999))
-    tolerance = np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
-    return DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
+    spread = -TEN_PERCENT / np.log1p(-np.clip(confidence, rectify.MIN_CONFIDENCE, 0.999))
+    tolerance = np.maximum(sqrt_inv_depth, rectify.MIN_SQRT_INV_DEPTH) * (TOLERANCE_SHARE + spread) + half_range
+    return rectify.DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))
 
 
 def _turned(view: View, frame: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "3 height width"]:
@@ -199,3 +202,49 @@ def smooth_from_known(
         around, sums = (filter_across_seam(blur, each, int(3 * sigma)) for each in (weight, weight * difference))
         correction = (sums + COARSER_WEIGHT * correction) / (around + COARSER_WEIGHT)
     return correction
+
+
+EXPECTED_SIZE = (64, 128)  # rows and columns of the expected depth that planes are fitted to
+MIN_PLANE_CONFIDENCE, MIN_PLANE_INVERSE_DEPTH = 0.4, 0.02  # of the pixels that take part; the second in 1/baselines
+RELATIVE_TOLERANCE = 0.05  # of inverse depth, for pixels of a plane
+# The number of planes, and the share of the pixels' solid angle that each has to explain.
+MAX_PLANES, MIN_SUPPORT = 16, 0.004
+# A fitted plane that turns by more than 14° or moves by more than a quarter has gone to another surface.
+MIN_PARALLEL_COSINE, MAX_DISTANCE_FACTOR = 0.97, 1.25
+
+# An expected floor or ceiling nearer to a swept one is that one, less exactly. On 31 wide walks 1.1 % more of what is
+# below the horizon is within 5 % without such copies. Walls may stand that near each other: homes lose without them.
+MAX_FLOOR_DISTANCE_FACTOR = 1.4
+
+
+def expected_planes(
+    pair: rectify.RectifiedPair, directions: tuple[Directions, Directions], swept: Float[np.ndarray, "swept 3"]
+) -> Float[np.ndarray, "planes 3"]:
+    """Planes of the expected depth, moved to where the images match best: normals in the frame of the pair, or none.
+
+    A sweep finds a plane if enough windows match on it, wherever it is. Far apart, cameras see walls too differently
+    for that. The network says where planes are to within some 10 %, and so near a plane a linear fit finds the rest.
+    The best supported come first; what no texture can move stays. The sweep had these directions, and found ``swept``.
+    """
+    small = pair if pair.priors is None else pair.resized(EXPECTED_SIZE)
+    if small.priors is None:
+        return np.zeros((0, 3))
+    points = _plane_points(small.grid, small.priors[0]), _plane_points(small.reversed().grid, small.priors[1])
+    expected = find_planes(points, pair.grid.up, max_planes=MAX_PLANES, min_support=MIN_SUPPORT)
+    fitted = [fit_plane(directions, normal) for normal in expected]
+    planes = [
+        after if are_near(before, after, MIN_PARALLEL_COSINE, MAX_DISTANCE_FACTOR) else before
+        for before, after in zip(expected, fitted, strict=True)
+    ]
+    floors = [plane for plane in swept if abs(plane @ pair.grid.up) > MIN_PARALLEL_COSINE * np.linalg.norm(plane)]
+    near_floor = partial(are_near, min_cosine=MIN_PARALLEL_COSINE, distance_factor=MAX_FLOOR_DISTANCE_FACTOR)
+    return np.reshape([plane for plane in planes if not any(near_floor(floor, plane) for floor in floors)], (-1, 3))
+
+
+def _plane_points(grid: rectify.EpipolarGrid, prior: rectify.DepthPrior) -> PlanePoints:
+    """The pixels of a grid that the network is sure of."""
+    inverse_depth = np.square(prior.sqrt_inv_depth, dtype=np.float64)
+    row, col = np.nonzero((prior.confidence > MIN_PLANE_CONFIDENCE) & (inverse_depth > MIN_PLANE_INVERSE_DEPTH))
+    found = inverse_depth[row, col]
+    solid_angle = np.sin(grid.polar_angle[row, 0])
+    return PlanePoints(grid.directions[row, col], found, RELATIVE_TOLERANCE * found, solid_angle, row, col)

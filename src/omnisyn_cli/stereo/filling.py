@@ -139,8 +139,7 @@ def _filter_rows(channels, coupling, begin, end):  # type: ignore[no-untyped-def
 def _filter_circular_lines(lines, coupling, side):  # type: ignore[no-untyped-def]
     """Filters rows that lie side by side, ``(columns, channels, rows)``, in one direction.
 
-    A row is a circle without a beginning. A first round from zero tells the state that returns to itself; the second
-    round begins with it and writes.
+    A row is a circle without a beginning. A first round from zero tells the state that comes again; the second writes.
     """
     width, count, lanes = lines.shape
     state, remaining = zeros((count, lanes), np.float32), empty(lanes, np.float32)

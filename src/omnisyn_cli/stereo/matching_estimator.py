@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.pose import at_same_position, distance_between
+from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
@@ -23,15 +24,12 @@ from omnisyn_cli.stereo.disparity import (
     left_right_check,
     match_all_disparities,
 )
-from omnisyn_cli.stereo.epipolar_grid import MAX_INVERSE_DEPTH
-from omnisyn_cli.stereo.expected_depth import PairPrior
-from omnisyn_cli.stereo.expected_planes import expected_planes
+from omnisyn_cli.stereo.expected_depth import PairPrior, expected_planes
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.plane_sweep import sweep_directions, sweep_planes
-from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, usable_pixels
-from omnisyn_cli.stereo.sky import find_sky
+from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, RectifiedPair, rectify, usable_pixels
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
 from omnisyn_cli.stereo.surface_labels import CandidatePlanes, label_surfaces
 from omnisyn_cli.types import DepthEstimate, View
@@ -232,3 +230,33 @@ def _features_in_camera_frame(
         second_from_first=motion_in_baselines(pose, other.pose), up=np.asarray(pose.rotation[1]),
         expected=None if pair.priors is None else pair.priors[0].remapped(in_pair),
     )  # fmt: skip
+
+
+MAX_SKY_INVERSE_DEPTH = 0.02  # in 1/baselines: a matching resolution of a few hundred rows cannot tell this from 0
+MIN_SKY_TEXTURE_SHARE = 0.05  # share of the sky where texture must have shown that there is no parallax; chosen by eye
+MIN_SKY_SHARE = 0.01  # share of the sphere: a smaller region is no sky; chosen by eye
+MAX_SKY_GAP_SHARE = 0.003  # share of the sphere: smaller gaps in the sky are closed; chosen by eye
+ZENITH_SINE = 0.9  # sine of the elevation (64°) above which a region reaches the zenith
+
+
+def find_sky(
+    inverse_depth: Float[np.ndarray, "height width"], valid: Bool[np.ndarray, "height width"],
+    sin_elevation: Float[np.ndarray, "height width"], solid_angle: Float[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:  # fmt: skip
+    """Where the panorama shows the sky, given inverse depth in 1/baselines, valid where matching measured it.
+
+    A bright wall, an overexposed ceiling or a lamp is as smooth as a cloudless sky. The sky reaches the zenith, and
+    wherever it has texture (clouds, a gradient, the rims of what stands before it) that texture has no parallax.
+    """
+    is_above = sin_elevation > 0.0
+    is_far = (inverse_depth < MAX_SKY_INVERSE_DEPTH) & is_above
+    labels = connected_regions(is_far, is_diagonal=False)
+    at_zenith = np.unique(labels[(sin_elevation > ZENITH_SINE) & is_far])
+    region = np.isin(labels, at_zenith[at_zenith > 0])
+    area, textured_area = (solid_angle * region).sum(), (solid_angle * (region & valid)).sum()
+    if area < MIN_SKY_SHARE * solid_angle.sum() or textured_area < MIN_SKY_TEXTURE_SHARE * area:
+        return np.zeros_like(is_far)
+    labels = connected_regions(~region & is_above, is_diagonal=False)
+    is_gap = np.bincount(labels.ravel(), solid_angle.ravel()) < MAX_SKY_GAP_SHARE * solid_angle.sum()
+    is_gap[0] = False
+    return np.asarray(region | is_gap[labels])

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.stereo.depth_prior import MIN_SQRT_INV_DEPTH, DepthPrior
 from omnisyn_cli.stereo.disparity import DisparityMap, is_measurable
 from omnisyn_cli.stereo.expected_depth import (
     NETWORK_SIZE,
@@ -26,7 +25,7 @@ from omnisyn_cli.stereo.expected_depth import (
     smooth_from_known,
 )  # fmt: skip
 from omnisyn_cli.stereo.monocular_answer import READINGS, MonocularAnswer, Reading, Samples
-from omnisyn_cli.stereo.rectify import RectifiedPair
+from omnisyn_cli.stereo.rectify import MIN_SQRT_INV_DEPTH, DepthPrior, RectifiedPair
 from omnisyn_cli.types import View
 
 ALIGNMENT_SIZE = (64, 128)  # rows and columns of the directions in which scale and shift are looked for

@@ -25,7 +25,6 @@ from omnisyn_cli.compute.threads import at_most, both, run_ranges
 from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
-from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.plane_fitting import (
     PlaneEquations,
     PlanePoints,
@@ -34,7 +33,7 @@ from omnisyn_cli.stereo.plane_fitting import (
     fit_to_inliers,
     planes_from_second,
 )
-from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, EpipolarGrid, RectifiedPair
 
 T = TypeVar("T")
 

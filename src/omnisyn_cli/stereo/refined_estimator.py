@@ -5,8 +5,7 @@ map around a pixel span a range of disparities, and only these are matched. So a
 smaller one, and what repeats elsewhere cannot mislead.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -77,24 +76,17 @@ class RefinedDepthEstimator:
             return self._run_stages((first, second))
 
     def _run_stages(self, views: ViewPair) -> EstimatePair:
-        """All stages of depth, in order.
-
-        :meth:`MatchingDepthEstimator.features` rectifies the pair (1), computes the cost volume (2), matches
-        semi-globally (3), checks left against right (4) and fits planes (5); where the baseline is wide it matches
-        again with a prior. Completion (6), refinement (7), the free-space check (8) and confidence (9) follow.
-        """
+        """All stages: those of :meth:`MatchingDepthEstimator.features`, completion, refinement, and confidence."""
         features = self.matching.features(*views)
         of_first, of_second = self._complete_with_network(features)
         completed = fill_as_expected(features[0], of_first), fill_as_expected(features[1], of_second)
         refined = self._refine_at_larger_sizes(views, completed)
-        checked = _check_free_space(views, refined, features)
-        return _lower_confidence_amid_disagreement(views, checked)
+        return _checked_estimates(views, refined, features)
 
     def _complete_with_network(self, features: tuple[StereoFeatures, StereoFeatures]) -> InvDepthPair:
         """The network's depth, or the filled map without one.
 
-        Where stereo is not valid the network chooses between two depths for each pixel alone. The median of its answers
-        around a pixel is smoother and keeps edges.
+        Where stereo is not valid it chooses between two depths for each pixel alone: medians are smoother, with edges.
         """
         first, second = features
         if self.completion is None:
@@ -172,36 +164,23 @@ def _replace_remeasured(
     return inverse_depth, np.where(taken, np.maximum(coarse_confidence, REMEASURED_CONFIDENCE), coarse_confidence)
 
 
-def _check_free_space(
+def _checked_estimates(
     views: ViewPair, maps: InvDepthPair, features: tuple[StereoFeatures, StereoFeatures]
 ) -> EstimatePair:
-    """Estimates in 1/metre: no confidence where masked, nor where the other panorama looks through the surface."""
+    """Estimates in 1/metre; what speaks against their confidence, in each panorama beside the other one.
+
+    There is none where masked or where the other panorama looks through the surface, less where both disagree nearby.
+    """
     baseline = distance_between(views[0].pose, views[1].pose)
+    in_metres = [(inverse_depth / baseline).astype(np.float32) for inverse_depth, _ in maps]
+    in_baselines = [each * np.float32(baseline) for each in in_metres]
 
     def estimate(own: int, other: int) -> DepthEstimate:
         inverse_depth, confidence = maps[own]
         motion = motion_in_baselines(views[own].pose, views[other].pose)
         confidence = confidence * free_space_agreement(inverse_depth, maps[other][0], motion)
-        confidence = confidence * usable_pixels(views[own], inverse_depth.shape)
-        in_metres = (inverse_depth / baseline).astype(np.float32)
-        return DepthEstimate(in_metres, confidence.astype(np.float32), features[own].valid)
+        confidence = (confidence * usable_pixels(views[own], inverse_depth.shape)).astype(np.float32)
+        agreement = neighbourhood_agreement(in_baselines[own], in_baselines[other], motion)
+        return DepthEstimate(in_metres[own], confidence * agreement, features[own].valid)
 
-    return _for_both_views(estimate)
-
-
-def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair) -> EstimatePair:
-    """Both estimates; their confidence is lower where they disagree with each other around a pixel."""
-    baseline = np.float32(distance_between(views[0].pose, views[1].pose))
-
-    def confidence_lowered(own: int, other: int) -> DepthEstimate:
-        own_map, other_map = (estimates[index].inverse_depth * baseline for index in (own, other))
-        motion = motion_in_baselines(views[own].pose, views[other].pose)
-        agreement = neighbourhood_agreement(own_map, other_map, motion)
-        return replace(estimates[own], confidence=estimates[own].confidence * agreement)
-
-    return _for_both_views(confidence_lowered)
-
-
-def _for_both_views(estimate: Callable[[int, int], DepthEstimate]) -> EstimatePair:
-    """For the first panorama beside the second, and for the second beside the first."""
     return both(partial(estimate, 0, 1), partial(estimate, 1, 0))

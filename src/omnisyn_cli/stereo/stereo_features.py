@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import reproject_to_second
 from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
-from omnisyn_cli.stereo.depth_prior import DepthPrior
+from omnisyn_cli.stereo.rectify import DepthPrior
 
 # Inverse depth in 1/baselines, and confidence in [0, 1].
 InvDepthWithConfidence = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]

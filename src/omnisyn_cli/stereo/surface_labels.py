@@ -15,10 +15,9 @@ from jaxtyping import Bool, Float, Float32, Int, UInt16
 from omnisyn_cli.geometry.resize import resize_area
 from omnisyn_cli.stereo.costs import census_transform, is_textured, luminance_of, surface_cost
 from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
-from omnisyn_cli.stereo.epipolar_grid import EpipolarGrid
 from omnisyn_cli.stereo.plane_fitting import planes_from_second
 from omnisyn_cli.stereo.plane_sweep import EXPLAINED_COST, plane_disparity
-from omnisyn_cli.stereo.rectify import RectifiedPair
+from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
 
 NOT_VISIBLE_DISPARITY = np.float32(-1.0)  # disparity of a surface that a pixel cannot show

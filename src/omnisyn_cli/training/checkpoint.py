@@ -1,22 +1,28 @@
 """One file with everything to go on training, written so that a kill at any moment leaves a whole one.
 
-Training may begin with an exported network too: it becomes a checkpoint of its weights by name.
+It becomes a model of the program: exported, compared with torch, entered into the manifest. Training may begin with an
+exported network too: it becomes a checkpoint of its weights by name.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
+import numpy as np
 import torch
 
-from omnisyn_cli.errors import InputError, WriteError
-from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
-from omnisyn_cli.networks.export import read_weights
-from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.tasks import TASKS, kinds_for, parts_of
+from omnisyn_cli.errors import InputError, OmnisynError, WriteError
+from omnisyn_cli.io.outputs import check_output, make_folder, replaced_when_complete, staged_folder, write_parts
+from omnisyn_cli.networks.export import PARITY, export_network, largest_difference, read_weights
+from omnisyn_cli.networks.interface import Network
+from omnisyn_cli.networks.synsin import SynSinNetwork
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, manifest_text, read_manifest, sha256_of
+from omnisyn_cli.training.data import list_scene_files
+from omnisyn_cli.training.synsin import blend_points, draw_views
+from omnisyn_cli.training.tasks import TASKS, Task, TrainConfig, kinds_for, parts_of, role_of
 
 # What every checkpoint has, compact or not.
 REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
@@ -125,3 +131,105 @@ def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
         expected, got = " or ".join(kinds), " and ".join(held)
         raise InputError(f"expected a {expected} network in {path}, got {got}; name another checkpoint")
     return found[0]
+
+
+COMPARED_EXAMPLES = 3  # Examples of each kind that torch and ONNX Runtime are compared on
+
+Examples = Iterator[tuple[np.ndarray, ...]]
+Part = tuple[str, str, Network, tuple[int, int], Examples]  # What becomes a file: name, role, network, size, examples.
+
+
+def publish(
+    checkpoint: Path, folder: Path, *, name: str | None = None, pool: Path | None = None, training: str = "",
+    licence: str = "Apache-2.0", overwrite: bool = False,
+) -> list[tuple[ModelEntry, float]]:  # fmt: skip
+    """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
+
+    The folder gets ``NAME.onnx`` (of several ``NAME-ROLE.onnx``; the name is ``ROLE-VARIANT`` or ``synsin`` unless
+    given) and a new manifest, which says on what they were trained (``training``). They are compared with torch on
+    noise and scenes of a ``pool``. Returns their entries, each with the largest relative difference.
+
+    InputError: no checkpoint, no scenes, or a name that is a path; OutputPathError: there is such a model already;
+    OmnisynError: ONNX Runtime and torch do not agree, and nothing is left behind.
+    """
+    if name is not None and Path(name).name != name:
+        raise InputError(f"expected a name without folders, got {name!r}; choose another (--name)")
+    network, state = load_network(checkpoint)
+    return publish_parts(
+        _parts(network, state, name, pool), folder, training=training or f"{state['step']} steps", licence=licence,
+        metrics=state.get("scores", {}), overwrite=overwrite,
+    )  # fmt: skip
+
+
+def publish_parts(
+    parts: Sequence[Part], folder: Path, *, training: str, licence: str, metrics: Mapping[str, float], overwrite: bool
+) -> list[tuple[ModelEntry, float]]:
+    """Write networks and a new manifest into a folder of models; returns and raises what :func:`publish` does."""
+    make_folder(folder, "models")
+    for own_name, *_ in parts:
+        check_output(folder / f"{own_name}.onnx", overwrite)
+    with staged_folder(folder, overwrite=overwrite) as staged:
+        made = []
+        for own_name, role, part, size, examples in parts:
+            file = staged / f"{own_name}.onnx"
+            export_network(part, file)
+            entry = ModelEntry(
+                own_name, role, variant=part.config.name, file=file.name, sha256=sha256_of(file), size=size,
+                parameters=sum(parameter.numel() for parameter in part.parameters()),
+                training=training, licence=licence, metrics=metrics,
+            )  # fmt: skip
+            made.append((entry, largest_difference(part, file, examples)))
+        worst = max(difference for _, difference in made)
+        if not worst <= PARITY:
+            raise OmnisynError(
+                f"expected ONNX Runtime to agree with torch within {PARITY}, got {worst:.1e}; not exported: "
+                "train it longer, weights of the first steps may answer with nothing but rounding"
+            )
+    entries = read_manifest(folder) | {entry.name: entry for entry, _ in made}
+    write_parts(folder / MANIFEST, [manifest_text(entries).encode()])
+    return made
+
+
+def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[Part]:
+    held: dict[str, Any]
+    if isinstance(network, SynSinNetwork):
+        held, size = dict(network.named_children()), network.config.size
+        return [
+            (f"{name or 'synsin'}-{word}", f"synsin-{word}", part, size, _views(network, part, pool))
+            for word, part in held.items()
+        ]
+    held, parts = parts_of(network), list[Part]()
+    for kind, part in held.items():
+        role, size = role_of(kind), part.ports.size or tuple(state["training"]["size"])
+        own = f"{name}-{role}" if name and len(held) > 1 else name
+        shown = _examples(TASKS[kind], part, size, pool if len(held) == 1 or role == "depth" else None)
+        parts.append((own or f"{role}-{part.config.name}", role, part, size, shown))
+    return parts
+
+
+def _examples(task: Task, network: Network, size: tuple[int, int], pool: Path | None) -> Examples:
+    """Noise, and what the network would be judged by in a pool."""
+    yield from noise(network, size)
+    if pool is not None:
+        stage = TrainConfig(str(pool), str(pool), size=size, validation_pairs=COMPARED_EXAMPLES)
+        for batch in task.validation(network, stage):
+            yield tuple(value[:1].numpy() for value in task.inputs(network, batch))
+
+
+def _views(network: SynSinNetwork, part: Network, pool: Path | None) -> Examples:
+    """Noise, and panoramas of a pool or what the decoder would see of them."""
+    yield from noise(part, network.config.size)
+    rng, size = np.random.default_rng(0), network.config.size
+    samples = draw_views(list_scene_files(pool), rng, COMPARED_EXAMPLES, size) if pool else []
+    for sample in samples:
+        yield (blend_points(network, sample)[None].numpy() if part is network.decoder else sample.images[:1].numpy(),)
+
+
+def noise(network: Network, size: tuple[int, int]) -> Examples:
+    """Of the trained size; where the file takes any, of half of it and a little more as well."""
+    rng, height, multiple = np.random.default_rng(0), size[0], network.config.size_multiple
+    half, more = max(multiple, height // 2 // multiple * multiple), height + multiple
+    free = [(rows, 2 * rows) for rows in (height, half, more)]
+    for shape in free if network.ports.size is None else [size] * COMPARED_EXAMPLES:
+        inputs = network.ports.input_shapes(shape).values()
+        yield tuple(rng.random((1, *each), dtype=np.float32) for each in inputs)

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float, Float32, Int8, UInt8
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.grouping import median_depth
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.io.outputs import make_folder, replaced_when_complete
@@ -36,7 +37,7 @@ MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbour
 class Walk:
     """Upright panoramas of one scene and heading along a line, any two a stereo pair; floats in half precision.
 
-    Some pairs were matched, both ways round, at a quarter of the size, see :mod:`omnisyn_cli.training.pair_matching`.
+    Some pairs were matched, both ways round, at a quarter of the size, see :mod:`omnisyn_cli.training.walks`.
     """
 
     images: UInt8[np.ndarray, "views height width 3"]
@@ -45,6 +46,12 @@ class Walk:
     is_mesh: bool = False
     pairs: Int8[np.ndarray, "pairs 2"] = field(default_factory=lambda: np.zeros((0, 2), np.int8))
     matching: Float[np.ndarray, "pairs 4 rows cols"] = field(default_factory=lambda: np.zeros((0, 4, 1, 2), np.float16))
+
+    def baseline_ratios(self) -> Float[np.ndarray, "views views"]:
+        """Distance of any two views over the median depth of the first one."""
+        depths = np.array([median_depth(each.astype(np.float32)) for each in self.inverse_depth])
+        distances = np.linalg.norm(self.positions[:, None] - self.positions[None], axis=-1)
+        return np.asarray(distances / depths[:, None])
 
 
 @dataclass(frozen=True)

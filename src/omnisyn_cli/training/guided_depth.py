@@ -1,8 +1,7 @@
 """What the guided depth network is shown, taught and judged by.
 
 A pair is two views of a walk, turned so that the other camera is ahead. Pairs of narrow, medium and wide baselines are
-drawn equally often, where a walk has them. Cameras are held slightly askew, poses are slightly wrong, and some tripods
-are capped, as in use.
+drawn equally often, where a walk has them. Cameras are a bit askew, poses a bit wrong, some tripods capped, as in use.
 """
 
 import math
@@ -22,9 +21,8 @@ from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedD
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 from omnisyn_cli.training.losses import polar_weights, signed_error
-from omnisyn_cli.training.pair_matching import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 from omnisyn_cli.training.pairs import turned_table
-from omnisyn_cli.training.walks import baseline_ratios
+from omnisyn_cli.training.walks import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
 
 MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
 MIN_BASELINE_RATIO = 0.03  # Baselines over median depth below this are not drawn where there are others
@@ -61,8 +59,7 @@ def draw_guided(
 ) -> GuidedBatch:  # fmt: skip
     """Random pairs of random walks, a share ``guided`` of them with what matching says.
 
-    ``size`` is a whole fraction of the pool's, else InputError. Targets are clipped; nothing varies without
-    augmentation.
+    ``size`` is a whole fraction of the pool's, else InputError. Targets are clipped; augmentation None varies nothing.
     """
     walks = (data.draw_walk(pool, rng, size[0]) for _ in range(pairs))
     return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
@@ -116,7 +113,7 @@ def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray,
 
 def _choose(walk: Walk, rng: np.random.Generator, is_guided: bool) -> tuple[int, int, float]:
     """Two views, and their baseline over the median depth of the first; all bins that there are equally often."""
-    ratios = baseline_ratios(walk.inverse_depth, walk.positions)
+    ratios = walk.baseline_ratios()
     pairs = walk.pairs.tolist() if is_guided else np.argwhere(~np.eye(len(ratios), dtype=bool)).tolist()
     found = [(first, second, float(ratios[first, second])) for first, second in pairs]
     in_range = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found

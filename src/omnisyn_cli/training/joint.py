@@ -4,7 +4,6 @@ The depth network estimates both panoramas of a pair. Each becomes a mesh, cut a
 a place between (:mod:`omnisyn_cli.render.rasterize_torch`): gradients flow back to inverse depths through what a pixel
 shows and how far away it is; which face it sees is a constant. The fusion network makes one picture of both, and its L1
 is added to that of the depth. Lengths are in baselines, the view between is in the forward frame.
-
 Source: OmniSyn, section 3.6.
 """
 

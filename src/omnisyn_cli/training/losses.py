@@ -1,8 +1,7 @@
 """The losses of depth and fusion networks, and the figures they are judged by.
 
 Targets of depth are √(inverse depth × baseline). In losses every mean over pixels is weighted by the sine of the polar
-angle, that is, by solid angle; figures of depth count pixels. Targets are NaN where the truth is not known: nothing is
-taught or judged there.
+angle, that is, by solid angle; figures of depth count pixels. Unknown truth is NaN: nothing is taught or judged there.
 """
 
 import torch
@@ -129,8 +128,7 @@ def depth_scores(
     """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m; baselines are in metres.
 
     ``imae``, 1/m; shares within a factor of 1.05 (``delta_5``), 1.1 and 1.25; ``confidence_error``, the mean of
-    |confidence − (within a factor of 1.1)|; ``sky_zero``, the share of infinity predicted below 1e-3 (times baseline),
-    NaN without any.
+    |confidence − (within a factor of 1.1)|; ``sky_zero``, the share of infinity below 1e-3 (times baseline), NaN: none.
     """
     scale = baseline.view(-1, 1, 1, 1)
     estimate, truth = prediction.inverse_depth() / scale, target.square() / scale
@@ -157,8 +155,7 @@ def completion_scores(
     """Accuracy where matching is unreliable, and elsewhere; means weigh pixels by solid angle.
 
     ``unsure`` is that share of the sphere; over it mean absolute ``error``, shares ``within_5`` and ``within_25`` %,
-    and ``confidence_error`` (see :func:`depth_scores`); over the rest ``error_sure``. Those of the filled map of the
-    input end with ``_filled``.
+    ``confidence_error`` (see :func:`depth_scores`); elsewhere ``error_sure``. ``…_filled``: of the input's filled map.
     """
     filled, reliable = channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1], reliable_mask(channels)
     known, target = _split_known(target)

@@ -72,8 +72,7 @@ def make_scene_files(
 ) -> Iterator[Path]:
     """Make missing scenes in worker processes; yields finished files. ``make`` writes a seed's, or returns None.
 
-    OutputPathError: no folder can be made; WriteError: no space; OmnisynError: a worker was killed; finished scenes
-    stay.
+    OutputPathError: no folder can be made; WriteError: no space; OmnisynError: a killed worker. Finished scenes stay.
     """
     make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
+from omnisyn_cli.evaluation.measure import change_psnr, flicker, warping_error
 from omnisyn_cli.geometry.pose import Pose
 from synthesis_samples import PHASES, RADIUS, WAVES, distance_to_wall, hall_image, posed
 

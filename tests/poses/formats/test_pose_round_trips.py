@@ -16,7 +16,7 @@ from test_pose_places import gps, pano_pose
 from omnisyn_cli.errors import ImageError, OutputPathError, PoseError, WriteError
 from omnisyn_cli.geometry.pose import Pose, heading_from_rotation, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.interpolation.export.datasets import FACES
-from omnisyn_cli.io.jpeg_metadata import with_properties
+from omnisyn_cli.io.jpeg_metadata import with_gpano
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses, write_poses
 from omnisyn_cli.poses.formats.colmap import colmap_rig_files
 from omnisyn_cli.poses.formats.files import ImportedPoses
@@ -244,10 +244,10 @@ def test_what_cannot_be_tagged_is_refused(tmp_path: Path) -> None:
 def test_hostile_and_damaged_packets_are_refused(tmp_path: Path, packet: bytes, message: str) -> None:
     data = tagged_jpeg(tmp_path / "a.jpg", packet)
     with pytest.raises(ImageError, match=message):
-        with_properties(tmp_path / "a.jpg", data, ("GPano", GPANO[1:-1]), {"PoseHeadingDegrees": "0" * 3000})
+        with_gpano(tmp_path / "a.jpg", data, {"PoseHeadingDegrees": "0" * 3000})
 
 
 @pytest.mark.parametrize("data", [b"", b"\x89PNG", b"\xff\xd8", b"\xff\xd8\xff\xe0\x00\x10JFIF"])
 def test_no_jpeg(data: bytes) -> None:
     with pytest.raises(ImageError, match="expected a JPEG"):
-        with_properties(Path("a.jpg"), data, ("GPano", GPANO[1:-1]), {})
+        with_gpano(Path("a.jpg"), data, {})

@@ -4,10 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
 
-from omnisyn_cli.cli.scenes import scenes
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets import find_scenes
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
@@ -17,8 +15,7 @@ from omnisyn_cli.io import read_depth
 from omnisyn_cli.io.encode import write_image
 from omnisyn_cli.io.meshes import list_meshes, read_mesh
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.scenes.mesh.places import find_line, find_places
-from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster, find_line, find_places
 from omnisyn_cli.scenes.mesh.render import lit_scene, render_mesh
 from omnisyn_cli.scenes.mesh.texturing import papered_mesh, untextured_share, varied_mesh
 from omnisyn_cli.training.data import load_walk
@@ -296,13 +293,12 @@ def test_other_things_that_are_no_rooms_are_refused(tmp_path):
 
 
 def render(*arguments):
-    command = ["render", *map(str, arguments), "--size", "64x32", "--light-rays", "8"]
-    return CliRunner().invoke(scenes, command, catch_exceptions=True)
+    return "scenes", "render", *arguments, "--size", "64x32", "--light-rays", 8, "-q"
 
 
-def test_a_rendered_mesh_is_a_data_set_that_eval_reads(tmp_path):
+def test_a_rendered_mesh_is_a_data_set_that_eval_reads(tmp_path, omnisyn):
     mesh = write_glb(tmp_path / "room.glb")
-    assert render(mesh, "-o", tmp_path / "out", "--count", 2, "--frames", 3, "-q").exit_code == 0
+    omnisyn.made(*render(mesh, "-o", tmp_path / "out", "--count", 2, "--frames", 3))
     folders = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert folders == ["room_00_0000", "room_00_0001"]
     poses = read_poses(tmp_path / "out" / folders[0] / "poses.json").panoramas
@@ -313,19 +309,18 @@ def test_a_rendered_mesh_is_a_data_set_that_eval_reads(tmp_path):
     assert len(find_scenes(tmp_path / "out")) == 2
 
 
-def test_cameras_may_be_given(tmp_path):
+def test_cameras_may_be_given(tmp_path, omnisyn):
     mesh = write_glb(tmp_path / "room.glb")
     entry = {"position": [0.5, 1.4, 0.0], "rotation": [1, 0, 0, 0]}
     (tmp_path / "cameras.json").write_text(json.dumps({"version": 1, "panoramas": {"here.png": entry}}))
-    assert render(mesh, "-o", tmp_path / "out", "--poses", tmp_path / "cameras.json", "-q").exit_code == 0
+    omnisyn.made(*render(mesh, "-o", tmp_path / "out", "--poses", tmp_path / "cameras.json"))
     depth = read_depth(tmp_path / "out" / "here_depth.exr")
     assert depth[16, 48] == pytest.approx(2.5, rel=0.01)  # to the right
     assert depth[16, 32] == pytest.approx(4.0, rel=0.01)  # ahead
 
 
-def test_a_training_scene_is_what_the_recipe_reads(tmp_path):
-    mesh = write_glb(tmp_path / "room.glb")
-    assert render(mesh, "-o", tmp_path / "pool", "--pool", "--frames", 3, "-q").exit_code == 0
+def test_a_training_scene_is_what_the_recipe_reads(tmp_path, omnisyn):
+    omnisyn.made(*render(write_glb(tmp_path / "room.glb"), "-o", tmp_path / "pool", "--pool", "--frames", 3))
     walk = load_walk(tmp_path / "pool" / "room_00_0000.npz")
     assert walk.images.shape == (3, 32, 64, 3)
     assert walk.is_mesh
@@ -333,13 +328,12 @@ def test_a_training_scene_is_what_the_recipe_reads(tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [("--pool", "--frames", 1), ("--poses", "p.json", "--count", 2)])
-def test_options_that_contradict_each_other_are_refused(tmp_path, arguments):
-    mesh = write_glb(tmp_path / "room.glb")
-    assert render(mesh, "-o", tmp_path / "out", *arguments).exit_code == 2
+def test_options_that_contradict_each_other_are_refused(tmp_path, arguments, omnisyn):
+    omnisyn.misused(*render(write_glb(tmp_path / "room.glb"), "-o", tmp_path / "out", *arguments))
 
 
-def test_what_cannot_be_walked_through_is_said(tmp_path):
+def test_what_cannot_be_walked_through_is_said(tmp_path, omnisyn):
     plain = write_archive(tmp_path / "plain", materials=np.array('[{"name": "a", "color": [1, 1, 1]}]'))
-    assert "--textures" in str(render(plain, "-o", tmp_path / "out").exception)
-    doll = render(write_glb(tmp_path / "doll.glb"), "-o", tmp_path / "out", "--scale", "0.2")
-    assert "expected a floor" in str(doll.exception)
+    assert "--textures" in omnisyn.refused(*render(plain, "-o", tmp_path / "out"))
+    doll = write_glb(tmp_path / "doll.glb")
+    assert "expected a floor" in omnisyn.refused(*render(doll, "-o", tmp_path / "out", "--scale", 0.2))

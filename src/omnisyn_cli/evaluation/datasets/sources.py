@@ -130,14 +130,11 @@ def _from_file(path: Path) -> PairChooser:
                 f"{path}: expected scene, first and second frame in line {number}, got {line!r}; correct it"
             )
 
-    def choose(scene: Scene) -> list[Pair]:
-        return [
-            _pair(scene, _number(first, scene), _number(second, scene))
-            for name, first, second in wanted
-            if name == scene.name
-        ]
-
-    return choose
+    return lambda scene: [
+        _pair(scene, _number(first, scene), _number(second, scene))
+        for name, first, second in wanted
+        if name == scene.name
+    ]
 
 
 def _number(word: str, scene: Scene) -> int:

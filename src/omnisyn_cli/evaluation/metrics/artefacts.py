@@ -116,8 +116,7 @@ def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " cou
 def is_around(wide: np.ndarray, reach: int, rows: np.ndarray, cols: np.ndarray, colours: np.ndarray) -> np.ndarray:
     """Whether a picture has each colour within ``reach`` rows and columns of each pixel, ``(count,)``.
 
-    ``wide``: the picture with a border of ``reach``, ``(rows, cols, 3)`` float32, beyond which ``rows``, ``cols``
-    count.
+    ``wide``: the picture with a border of ``reach``, ``(rows, cols, 3)`` float32; ``rows``, ``cols`` count without it.
     """
     is_found = np.zeros(len(rows), np.bool_)
     side = 2 * reach + 1

@@ -12,17 +12,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from omnisyn_cli.geometry import sphere
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
-from omnisyn_cli.geometry.sphere import (
-    direction_tables,
-    normalize,
-    pixel_directions,
-    pixel_scale,
-    pixel_to_direction,
-    pixel_to_texture,
-)
 from omnisyn_cli.interpolation.loading import PanoramaSurface, quantized_picture
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.meshes import write_ply
@@ -80,12 +73,12 @@ def points_of(
     rho = mesh.inverse_depth[row, col]
     kept = (rho > 0) & (rho * farthest > 1)
     row, col, rho = row[kept], col[kept], rho[kept].astype(np.float64)
-    direction = pixel_to_direction(row, col, mesh.size)
+    direction = sphere.pixel_to_direction(row, col, mesh.size)
     reduced = quantized_picture(picture, 2 * max(height // stride, 1)).astype(np.float32)
     colour = np.asarray(np.rint(sample_bilinear(reduced, direction)), np.uint8)
     normal = _normals(mesh)[row, col]
     turn, cosine = _facing(direction, normal)
-    across = DISC_RADIUS_SHARE * stride / pixel_scale(mesh.size)[0] / rho
+    across = DISC_RADIUS_SHARE * stride / sphere.pixel_scale(mesh.size)[0] / rho
     radius = np.stack([across / np.maximum(cosine, MIN_COSINE), across], -1)
     return Points(
         pose.transform(direction / rho[:, None]), colour, confidence[row, col], normal @ pose.rotation.T, radius,
@@ -96,7 +89,7 @@ def points_of(
 def _places(height: int, width: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of vertices that are ``stride`` pixels of the equator apart, everywhere."""
     rows = np.arange(min(stride // 2, height - 1), height, stride)
-    count = np.maximum(np.rint(width * direction_tables(height, width)[0][rows] / stride), 1).astype(np.int64)
+    count = np.maximum(np.rint(width * sphere.direction_tables(height, width)[0][rows] / stride), 1).astype(np.int64)
     row = np.repeat(rows, count)
     step = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
     return row, (2 * step + 1) * width // (2 * np.repeat(count, count))
@@ -108,7 +101,7 @@ def _normals(mesh: Mesh) -> Float[np.ndarray, "height width 3"]:
     Of two neighbours on one line the one whose distance differs less counts.
     """
     rho = mesh.inverse_depth
-    directions = pixel_directions(*mesh.size)
+    directions = sphere.pixel_directions(*mesh.size)
     points = directions / np.where(rho > 0, rho, 1.0)[..., None]
     beside, below = np.zeros(mesh.size, bool), np.zeros(mesh.size, bool)
     beside[:-1] = (mesh.quads & TOP) == 0
@@ -122,7 +115,7 @@ def _normals(mesh: Mesh) -> Float[np.ndarray, "height width 3"]:
         step = np.roll(points, -1, axis) - points
         chosen = np.where((ahead <= behind)[..., None], step, np.roll(step, 1, axis))
         lines.append(np.where(np.isfinite(np.minimum(ahead, behind))[..., None], chosen, 0.0))
-    normal = np.asarray(normalize(np.cross(lines[0], lines[1])))
+    normal = np.asarray(sphere.normalize(np.cross(lines[0], lines[1])))
     normal = np.where((normal * directions).sum(-1, keepdims=True) > 0, -normal, normal)
     return np.where((normal == 0).all(-1, keepdims=True), -directions, normal)
 
@@ -134,7 +127,7 @@ def _facing(direction: np.ndarray, normal: np.ndarray) -> tuple[Float[np.ndarray
     flat = np.linalg.norm(slope, axis=1) < 1e-6
     least = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     slope = np.where(flat[:, None], least - (least * normal).sum(-1, keepdims=True) * normal, slope)
-    along = np.asarray(normalize(slope))
+    along = np.asarray(sphere.normalize(slope))
     return np.stack([along, np.cross(normal, along), normal], -1), cosine
 
 
@@ -220,7 +213,7 @@ def former_files(folder: Path, *, is_colmap: bool) -> set[str]:
 
 def face_side(size: tuple[int, int]) -> int:
     """Rows of a face whose centre is as sharp as the panorama: its focal length is what a radian has pixels there."""
-    return max(2, 2 * round(pixel_scale(size)[0]))
+    return max(2, 2 * round(sphere.pixel_scale(size)[0]))
 
 
 def write_colmap_view(folder: Path, stem: str, surface: PanoramaSurface, side: int) -> None:
@@ -231,7 +224,7 @@ def write_colmap_view(folder: Path, stem: str, surface: PanoramaSurface, side: i
     make_folder(whole / "depth", "depth")
     write_depth(whole / "depth" / f"{stem}.exr", _depth(inverse_depth, np.inf))
     _write_mask(whole / "masks" / f"{name}.png", usable)
-    u, v = pixel_to_texture(np.arange(side), np.arange(side), (side, side))
+    u, v = sphere.pixel_to_texture(np.arange(side), np.arange(side), (side, side))
     x, y = np.meshgrid(2.0 * u - 1.0, 2.0 * v - 1.0)
     rays = np.stack([x, y, np.ones_like(x)], -1)
     if picture.shape[1] > MAX_REMAP_COLUMNS:

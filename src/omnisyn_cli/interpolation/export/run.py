@@ -10,6 +10,7 @@ import numpy as np
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation import loading
 from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export import site as sites
 from omnisyn_cli.interpolation.export.datasets import Points, joined, ply_points, ply_splats, points_of
@@ -17,14 +18,7 @@ from omnisyn_cli.interpolation.export.formats import FORMATS, MAX_CLIP_ROWS, Exp
 from omnisyn_cli.interpolation.export.glb import GltfModel, textured_mesh
 from omnisyn_cli.interpolation.export.viewers import VIEWERS, krpano_depth, site_files
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob, of_panoramas
-from omnisyn_cli.interpolation.loading import (
-    Loader,
-    PairSurfaces,
-    PanoramaSurface,
-    mesh_of,
-    panorama_surfaces,
-    tour_surfaces,
-)
+from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import open_video, read_header, read_panorama
@@ -57,12 +51,12 @@ def run_export(
     """Write the files; all of them appear when everything has gone well.
 
     ``on_panorama`` is called with the number of finished panoramas after each; an estimator finds depth in place of the
-    plan's. InputError: as :func:`tour_surfaces`, or nothing is left to be shown. WriteError: the disk is full, or the
-    folder went away.
+    plan's. InputError: as :func:`.loading.tour_surfaces`, or nothing is left to be shown. WriteError: the disk is full,
+    or the folder went away.
     """
     clock, summary = Stopwatch(), ExportSummary(plan)
     writers = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud, **dict.fromkeys(VIEWERS, _write_site)}
-    pairs = tour_surfaces(plan, summary, estimator=estimator, clock=clock)
+    pairs = loading.tour_surfaces(plan, summary, estimator=estimator, clock=clock)
     made = writers.get(plan.format, _write_dataset)(plan, pairs, clock, on_panorama or (lambda done: None))
     results = {"points": 0, "triangles": 0, "links": 0, **made}
     return replace(summary, seconds=clock.with_total(), results=results)
@@ -70,7 +64,7 @@ def run_export(
 
 def _counted(pairs: Pairs, count: Count) -> Iterator[PanoramaSurface]:
     """The surface of each panorama; it is counted when the next one is asked for."""
-    for done, surface in enumerate(panorama_surfaces(pairs), start=1):
+    for done, surface in enumerate(loading.panorama_surfaces(pairs), start=1):
         yield surface
         count(done)
 
@@ -147,7 +141,7 @@ def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
 def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
     """The surface with everything beyond a distance at that distance."""
     rho = np.maximum(surface.depth.inverse_depth, np.float32(1.0 / radius))
-    return mesh_of(surface.view, surface.depth, rho, Cut(plan.config.cut, plan.config.cut_metres))
+    return loading.mesh_of(surface.view, surface.depth, rho, Cut(plan.config.cut, plan.config.cut_metres))
 
 
 def _nothing(plan: ExportPlan) -> str:
@@ -187,7 +181,7 @@ def _write_site(plan: ExportPlan, pairs: Pairs, clock: Stopwatch, count: Count) 
 
 def _views(plan: ExportPlan, clock: Stopwatch) -> Iterator[tuple[Path, View, None]]:
     """File and view of every panorama. What moves with the camera is not looked for, because it is shown."""
-    loader = Loader(replace(plan, job=replace(plan.job, nadir=plan.job.nadir or 0.0)), clock, read_panorama)
+    loader = loading.Loader(replace(plan, job=replace(plan.job, nadir=plan.job.nadir or 0.0)), clock, read_panorama)
     for panorama, index in zip(plan.tour.panoramas, _indices(plan), strict=True):
         yield panorama.image, loader[index], None
 

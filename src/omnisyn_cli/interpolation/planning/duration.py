@@ -117,37 +117,13 @@ def _seconds_per_frame(sizes: Sequence[Figures], pixels: int) -> float:
     return float(np.interp(inside, places, seconds) * pixels / inside)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """A preset for a job that may take some seconds."""
-
-    preset: str
-    expected: dict[str, Duration]  # of each preset that was measured
-    budget: float  # seconds
-    more: str = ""  # what the preset of the best picture gains, and how sure that is; or nothing
-
-    @property
-    def fits(self) -> bool:
-        """Whether the job is expected to be done in time."""
-        return self.expected[self.preset].seconds <= self.budget
-
-    def __str__(self) -> str:
-        own = self.expected[self.preset]
-        if not self.fits:
-            return (
-                f"even the fastest preset, {self.preset}, is expected to take {own.words}, more than the budget of "
-                f"{self.budget:g} s; it is taken (fewer frames or a smaller --size help){self.more}"
-            )
-        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own.words}{self.more}"
-
-
 def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
     """The plan with the preset of :func:`choose_preset` and a note. InputError: it asks for what was not measured."""
     _check_measured(plan)
     table = shipped_table()
     if plan.config.estimates_depth:
-        choice = choose_preset(plan, table, budget)
-        plan, note = with_preset(plan, choice.preset), str(choice)
+        preset, note = choose_preset(plan, table, budget)
+        plan = with_preset(plan, preset)
     else:
         note = _without_choice(expected_duration(plan, table), budget)
     return replace(plan, notes=(*plan.notes, note))
@@ -182,8 +158,11 @@ def _without_choice(expected: Duration | None, budget: float) -> str:
     )
 
 
-def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> Choice:
-    """The preset of the best picture within ``budget`` seconds, else the fastest. InputError: none was measured."""
+def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> tuple[str, str]:
+    """The preset of the best picture within ``budget`` seconds, else the fastest; and a note about it.
+
+    InputError: none was measured.
+    """
     measured = {name: found for name in SCALE if (found := _scored(table, name)) is not None}
     durations = {name: expected_duration(with_preset(plan, name), table) for name in measured}
     expected = {name: duration for name, duration in durations.items() if duration is not None}
@@ -192,14 +171,20 @@ def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: flo
     fitting = [name for name, duration in expected.items() if duration.seconds <= budget]
     fastest = next(iter(expected))  # by the scale: runs that are remembered may be of one preset, on a busy machine
     chosen = max(fitting, key=lambda name: quality(measured[name]), default=fastest)
-    best, more = max(expected, key=lambda name: quality(measured[name])), ""
+    note = f"preset {chosen} for a budget of {budget:g} s: expected to take {expected[chosen].words}"
+    if not fitting:
+        note = (
+            f"even the fastest preset, {chosen}, is expected to take {expected[chosen].words}, more than the budget of "
+            f"{budget:g} s; it is taken (fewer frames or a smaller --size help)"
+        )
+    best = max(expected, key=lambda name: quality(measured[name]))
     if best != chosen:
         gained, error = gain(measured[best], measured[chosen])
-        more = (
+        note += (
             f"; {best} would take {expected[best].words} for {gained:+.2f} ± {error:.2f} dB "
             f"(the mean of {len(measured[best].scores)} scenes of omnisyn bench)"
         )
-    return Choice(chosen, expected, budget, more)
+    return chosen, note
 
 
 def _scored(table: Sequence[Figures], preset: str) -> Figures | None:

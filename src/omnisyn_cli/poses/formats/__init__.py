@@ -14,7 +14,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import read_json
 from omnisyn_cli.poses.formats import files, trajectories
 from omnisyn_cli.poses.formats.colmap import read_colmap
-from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
+from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, folder_of_model
 from omnisyn_cli.poses.formats.files import CAMERAS_UP, IMAGE_SUFFIXES, ImportedPoses, ImportOptions
 from omnisyn_cli.poses.formats.geographic import read_exif
 from omnisyn_cli.poses.formats.json_files import ZIND_FILE_NAME, read_nerfstudio, read_opensfm, read_zind
@@ -109,7 +109,7 @@ def _check_options(chosen: str, sources: Sequence[Path], options: ImportOptions)
 def _of_folder(folder: Path) -> str:
     marks = {name: form.mark for name, form in FORMATS.items() if form.mark is not None}
     found = [name for name, mark in marks.items() if (folder / mark).is_file()]
-    if not found and is_model(folder):
+    if not found and folder_of_model(folder):
         found = ["colmap"]
     if not found and trajectories.habitat_folders(folder):
         found = ["habitat"]

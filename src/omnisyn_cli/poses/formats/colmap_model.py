@@ -78,19 +78,19 @@ class Model:
         return self.models.get(image.camera, EQUIRECTANGULAR) in (EQUIRECTANGULAR, SPHERE)
 
 
-def is_model(folder: Path) -> bool:
-    """Whether there is a model in a folder, or where it usually has one."""
-    return _folder_of_model(folder) is not None
-
-
 def read_model(source: Path) -> Model:
     """The model in a folder, or beside one of its files; text where there is both. PoseError: malformed."""
-    folder = (_folder_of_model(source) or source) if source.is_dir() else source.parent
-    is_binary = not (folder / IMAGES).is_file() and (folder / BINARY_IMAGES).is_file()
-    return _binary_model(folder) if is_binary else _text_model(folder)
+    folder = (folder_of_model(source) or source) if source.is_dir() else source.parent
+    if not (folder / IMAGES).is_file() and (folder / BINARY_IMAGES).is_file():
+        readers = {"cameras": _camera, "images": _image, "rigs": _rig, "frames": _frame}
+        parts = (dict(_records(folder / f"{name}.bin", read)) for name, read in readers.items())
+        return Model(folder / BINARY_IMAGES, *parts)
+    of_lines = {"cameras": _text_camera, "rigs": _rig, "frames": _frame}
+    models, rigs, frames = (dict(_lines(folder / f"{name}.txt", read)) for name, read in of_lines.items())
+    return Model(folder / IMAGES, models, dict(_text_images(folder / IMAGES)), rigs, frames)
 
 
-def _folder_of_model(source: Path) -> Path | None:
+def folder_of_model(source: Path) -> Path | None:
     """The folder of a model inside ``source``: itself, or the usual ``sparse/0`` and ``sparse``; None without one."""
     files = (source / folder / name for folder in ("", "sparse/0", "sparse") for name in (IMAGES, BINARY_IMAGES))
     return next((file.parent for file in files if file.is_file()), None)
@@ -171,12 +171,6 @@ def _frame(source: _Words | _Bytes) -> tuple[int, Frame]:
     return number, Frame(rig, pose, tuple(image for kind, _, image in data if kind == SENSOR_TYPES["CAMERA"]))
 
 
-def _binary_model(folder: Path) -> Model:
-    readers = {"cameras": _camera, "images": _image, "rigs": _rig, "frames": _frame}
-    parts = (dict(_records(folder / f"{name}.bin", read)) for name, read in readers.items())
-    return Model(folder / BINARY_IMAGES, *parts)
-
-
 def _records(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
     """What a binary file has of a kind; nothing where there is no such file."""
     if not path.is_file():
@@ -203,12 +197,6 @@ def _image(source: _Bytes) -> tuple[int, Image]:
     return number, Image(f"{source.where}: image {number}", name, camera, pose)
 
 
-def _text_model(folder: Path) -> Model:
-    readers = {"cameras": _text_camera, "rigs": _rig, "frames": _frame}
-    models, rigs, frames = (dict(_lines(folder / f"{name}.txt", read)) for name, read in readers.items())
-    return Model(folder / IMAGES, models, dict(_text_images(folder / IMAGES)), rigs, frames)
-
-
 def _lines(path: Path, read: Any) -> Iterator[tuple[int, Any]]:
     """What a text has of a kind, a line each; nothing where there is no such file."""
     for number, line in data_lines(path) if path.is_file() else ():
@@ -223,7 +211,11 @@ def _text_camera(source: _Words) -> tuple[int, str]:
 
 
 def _text_images(path: Path) -> Iterator[tuple[int, Image]]:
-    for number, line in _image_lines(path):
+    """Number and content of every image; its second line, of 2-D points, may be empty and is passed over."""
+    lines = enumerate(read_text(path).splitlines(), start=1)
+    for number, line in lines:
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
         where = f"{path}:{number}"
         fields = line.split(maxsplit=9)
         if len(fields) != 10 or not (_is_number(fields[0]) and _is_number(fields[8])):
@@ -231,23 +223,14 @@ def _text_images(path: Path) -> Iterator[tuple[int, Image]]:
         values = numbers(where, fields[1:8], 7, "QW QX QY QZ TX TY TZ")
         pose = Pose(checked_quaternion(where, values[:4]), values[4:])
         yield int(fields[0]), Image(where, fields[9].strip(), int(fields[8]), pose)
-
-
-def _is_number(word: str) -> bool:
-    """Whether a word is a number that something may have."""
-    return word.isdecimal() and len(word) <= MAX_DIGITS
-
-
-def _image_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Number and text of the first line of every image; the second, its 2-D points, may be empty and is passed over."""
-    lines = enumerate(read_text(path).splitlines(), start=1)
-    for number, line in lines:
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        yield number, line.strip()
         follower, points = next(lines, (number + 1, ""))
         if len(points.split()) % 3:
             raise PoseError(
                 f"{path}:{follower}: expected 2-D points in threes (X Y POINT3D_ID), or an empty line, after each "
                 f"image, got {len(points.split())} fields; insert the line"
             )
+
+
+def _is_number(word: str) -> bool:
+    """Whether a word is a number that something may have."""
+    return word.isdecimal() and len(word) <= MAX_DIGITS

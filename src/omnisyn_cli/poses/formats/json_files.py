@@ -23,7 +23,6 @@ Source: nerfstudio documentation, "Data conventions"; ``nerfstudio/cameras/camer
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -35,6 +34,7 @@ from pydantic import Field
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.io.documents import ForeignModel, listed, read_json, validated
+from omnisyn_cli.io.outputs import relative_name
 from omnisyn_cli.poses.entries import checked_rotation
 from omnisyn_cli.poses.formats.files import ImportedPoses, ImportOptions, find_view, foreign_from_pose, noted
 from omnisyn_cli.poses.formats.geographic import local_world, origin_note
@@ -121,7 +121,7 @@ def nerfstudio_text(
 def _frame(name: str, pose: Pose, size: tuple[int, int], image: Path | None, folder: Path) -> dict[str, Any]:
     foreign = foreign_from_pose(pose, camera="opengl", up="z")
     matrix = np.vstack([np.column_stack([foreign.rotation, foreign.position]), [0.0, 0.0, 0.0, 1.0]])
-    file = name if image is None else Path(os.path.relpath(image, folder)).as_posix()
+    file = name if image is None else relative_name(image, folder)
     height, width = size
     intrinsics = {"w": width, "h": height, "fl_x": width / 2, "fl_y": height, "cx": width / 2, "cy": height / 2}
     return {"file_path": file, **intrinsics, "transform_matrix": matrix.tolist()}
@@ -143,8 +143,7 @@ def _scale_of(path: Path, transform: list[Row] | None) -> float:
 SPHERICAL_PROJECTIONS = frozenset({"spherical", "equirectangular"})
 MAX_ABSOLUTE = 1e9  # Radians or metres; more is a mistake, and its square might overflow
 
-Coordinate = Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]
-Vector = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
+Vector = Annotated[list[Annotated[float, Field(ge=-MAX_ABSOLUTE, le=MAX_ABSOLUTE)]], Field(min_length=3, max_length=3)]
 
 
 class Camera(ForeignModel):

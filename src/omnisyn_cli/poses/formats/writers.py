@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.pose import Pose, heading_from_rotation
 from omnisyn_cli.io import outputs
 from omnisyn_cli.io.decode import read_header
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.jpeg_metadata import GPANO, with_properties
+from omnisyn_cli.io.jpeg_metadata import with_gpano
 from omnisyn_cli.io.placement import Placement, area_tags, placement_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, write_poses
 from omnisyn_cli.poses.formats.colmap import colmap_files
@@ -86,7 +86,7 @@ def _write_tagged(poses: PoseFile, output: Path, folder: Path, overwrite: bool) 
             tags = _gpano_tags(poses.panoramas[name].pose, placement_of(header), known)
             target = staged / name
             outputs.make_folder(target.parent, "the panoramas")
-            outputs.write_parts(target, [with_properties(file, file.read_bytes(), GPANO, tags)])
+            outputs.write_parts(target, [with_gpano(file, file.read_bytes(), tags)])
     return ("headings: clockwise from −z of the poses, which is north in a georeferenced world",)
 
 

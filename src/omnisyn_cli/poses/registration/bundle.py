@@ -183,9 +183,7 @@ class Equations:
     by_pose: np.ndarray
     by_point: np.ndarray
     by_length: np.ndarray  # ``(k, 6n)`` those of the lengths
-    # ``(m, 3)``, ``(k,)``
-    residual: np.ndarray
-    of_length: np.ndarray
+    residual: np.ndarray  # ``(m, 3)``
     stars: tuple[_Star, ...]  # of all anchors
 
     @staticmethod
@@ -208,7 +206,6 @@ class Equations:
         slices = [slice(*ends) for ends in pairwise([*begins, len(weight)])]
         return Equations(
             matches, lengths, weight, by_pose, by_point, lengths.jacobian(state.position), residual,
-            lengths.residual(state.position),
             tuple(_Star.of(matches, chosen, by_pose, by_point, residual) for chosen in slices),
         )  # fmt: skip
 
@@ -219,7 +216,7 @@ class Equations:
 
     def step(self, state: State, damping: float) -> tuple[State, float]:
         """The state after a damped step, and the largest change of a pose."""
-        gradient = self.by_length.T @ self.of_length
+        gradient = self.by_length.T @ self.lengths.residual(state.position)
         for star in self.stars:
             np.add.at(gradient, star.columns[star.places], star.by_pose)
             gradient[star.columns] -= star.mixed.T @ (star.gradient / star.damped(damping))

@@ -39,7 +39,6 @@ SIGNED_PERMUTATIONS = [
 # Full turns (2π) in 180 radians, rounded up: what an angle in degrees loses when it is read as radians.
 MAX_LOST_TURNS = 29
 MIN_ANGLE = 1e-9  # Radians; smaller rotations have no axis
-Correction = Callable[[Pose, Pose], tuple[Pose, Pose]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class ConventionHypothesis:
     stage: int  # at which it is undone
     words: str  # what was done, for people; goes on from "it looks as if"
     remedy: str  # what to do about it
-    correct: Correction  # undoes it
+    correct: Callable[[Pose, Pose], tuple[Pose, Pose]]  # undoes it
     is_common: bool = True  # listed where several hypotheses explain the same; the others only where nothing else does
 
 

@@ -221,9 +221,11 @@ def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
         "direction_uncertainty_deg": None if estimate is None else _finite(estimate.uncertainty.direction),
         "given": None if given is None else _fit_values(given),
         "mistakes": [
-            {"name": each.name, "words": each.words, "remedy": each.remedy, "corrected": _fit_values(explanation.fit)}
+            {
+                **{key: getattr(explanation.hypothesis, key) for key in ("name", "words", "remedy")},
+                "corrected": _fit_values(explanation.fit),
+            }
             for explanation in diagnosis.explanations
-            for each in [explanation.hypothesis]
         ],
         "refine_helps": diagnosis.is_refinable,
     }

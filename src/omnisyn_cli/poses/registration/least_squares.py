@@ -110,7 +110,9 @@ def refine_pose(start: Pose, matches: Matches, scale: float) -> Pose:
     weight = _weights(pose, matches, residual, spread)
     for _ in range(MAX_ITERATIONS):
         jacobian = _jacobian(pose, matches)
-        hessian, gradient = _normal_equations(jacobian, residual, weight)
+        # sums in a fixed order: a matrix product would depend on the number of threads in its last digits
+        hessian = np.einsum("ni,n,nj->ij", jacobian, weight, jacobian)
+        gradient = np.einsum("ni,n,n->i", jacobian, weight, residual)
         hessian += damping * np.diag(np.diag(hessian) + 1e-12)
         try:
             step = -np.linalg.solve(hessian, gradient)
@@ -203,12 +205,6 @@ def _jacobian(pose: Pose, matches: Matches) -> np.ndarray:
     by_direction = [np.einsum("ni,ni->n", turned @ cross_matrices(each).T, matches.first) for each in _tangent(t).T]
     derivative: np.ndarray = np.column_stack([by_rotation, *by_direction])
     return np.asarray(derivative / np.sqrt(np.maximum(squared, MIN_NOISE))[:, None])
-
-
-def _normal_equations(jacobian: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums in a fixed order: a matrix product would depend on the number of threads in its last digits."""
-    hessian = np.einsum("ni,n,nj->ij", jacobian, weight, jacobian)
-    return hessian, np.einsum("ni,n,n->i", jacobian, weight, residual)
 
 
 def _kernel_width(residual: np.ndarray, scale: float) -> float:

@@ -1,144 +1,35 @@
-"""What is read from a panorama to register it: features, straight lines, and the zenith that they tell.
+"""What is read from a panorama to register it, and what two of them tell: their relative pose, or that it is one place.
 
-Straight lines of the world are great circles of the sphere. Those of vertical lines all pass through the zenith, so the
-normals of their planes are horizontal. Cameras are taken to be held upright within :data:`MAX_TILT`.
+Copies, exposure brackets and pictures turned on the spot are of one place: one rotation explains all matches.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
+from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.pose import Pose, rotation_taking
-from omnisyn_cli.geometry.remap import RemapTable
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import Pose, rotation_angle
 from omnisyn_cli.geometry.resize import resize_area
-from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import UP, normalize
+from omnisyn_cli.poses.gravity import SMALL_SIZE, Lines, Vertical, face_table, find_lines, find_vertical
 from omnisyn_cli.poses.registration import features, robust
 from omnisyn_cli.poses.registration.features import Features, Grey, LevelledFeatures, Matches, Picture, Usable
 from omnisyn_cli.poses.registration.least_squares import refine_pose
 from omnisyn_cli.poses.registration.robust import Estimate, Verticals
-from omnisyn_cli.stereo.dense_agreement import dense_agreement
+from omnisyn_cli.stereo.disparity import dense_agreement
 from omnisyn_cli.types import View
-
-# Of a camera; lines that meet farther from its own zenith are not taken for vertical ones.
-MAX_TILT = math.radians(35.0)
-
-# Side of the six tangent images that lines are looked for in, over the rows of the panorama, and tangent of half their
-# angle. They overlap a little, so that no line is lost at an edge. In larger ones the columns of pixels become lines.
-FACE_SHARE, FACE_TANGENT = 0.625, 1.1
-MIN_LINE_ANGLE = math.radians(2.0)  # Radians that a line segment has to span
-MAX_LINES = 800  # The longest ones are searched; each is compared with every hypothesis
-HYPOTHESES = 3000  # Pairs of lines that are tried, long ones more often
-
-# Radians off the zenith within which a line speaks for it, in the search and in the end.
-VOTE_WIDTH, FIT_WIDTH = math.radians(1.5), math.radians(0.4)
-FIT_ROUNDS = 15  # Rounds of reweighted least squares; the width shrinks by a fifth in each
-RIVAL_ANGLE = math.radians(6.0)  # Radians from the best direction beyond which another one is a rival
-
-# Votes of the strongest rival over those of the best, up to which it is certain. Of 180 generated panoramas all ten
-# that were wrong by more than 1° had 0.86 or more.
-MAX_RIVAL_SHARE = 0.8
-MIN_LINES = 8  # Lines that have to agree at least
-HALVES = 32  # Random ones of the lines that are fitted apart. How much they differ tells how well the zenith is known
-
-# Rotations of the six tangent images, which look along −z of their own.
-CAMERA_FROM_FACE = tuple(
-    rotation_taking(np.array([0.0, 0.0, -1.0]), np.array(axis, float))
-    for axis in ((0, 0, -1), (0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
-)
-
-Lines = Float[np.ndarray, "n 3"]
-"""Normals of the planes of line segments, as long as the angle in radians that the segment spans."""
-
-
-@dataclass(frozen=True)
-class Vertical:
-    """The zenith as lines tell it."""
-
-    up: Float[np.ndarray, " 3"]  # unit vector in the frame of the lines
-    std: float  # its standard deviation, radians
-    is_certain: bool  # enough lines agree, and no other direction has nearly as many
-
-
-def find_lines(grey: Grey, usable: Usable = None) -> Lines:
-    """Line segments whose middles are usable. Source: Grompone von Gioi et al., LSD, PAMI 2010."""
-    detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD)
-    found, middles = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for face, rotation in enumerate(CAMERA_FROM_FACE):
-        table = face_table((grey.shape[0], grey.shape[1]), face)
-        side = len(table.row)
-        segments = detector.detect(table.bilinear(grey))[0]
-        if segments is not None:
-            ends = ((segments.reshape(-1, 2, 2) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
-            directions = normalize(np.stack([ends[..., 0], -ends[..., 1], -np.ones(ends.shape[:2])], axis=-1))
-            found.append(np.cross(directions[:, 0], directions[:, 1]) @ rotation.T)
-            middles.append(normalize(directions.sum(axis=1)) @ rotation.T)
-    sines = np.concatenate(found)
-    length = np.linalg.norm(sines, axis=1, keepdims=True)
-    chosen = length[:, 0] > math.sin(MIN_LINE_ANGLE)
-    if usable is not None:
-        chosen &= np.asarray(sample_nearest(usable.astype(np.float32), np.concatenate(middles)) > 0)
-    return np.asarray(sines[chosen] / length[chosen] * np.arcsin(length[chosen].clip(0.0, 1.0)))
-
-
-@lru_cache(maxsize=len(CAMERA_FROM_FACE))
-def face_table(size: tuple[int, int], face: int) -> RemapTable:
-    """Where a tangent image is in panoramas of a size; who has read the last one calls ``cache_clear``."""
-    side = round(FACE_SHARE * size[0])
-    across = ((np.arange(side) + 0.5) / side * 2.0 - 1.0) * FACE_TANGENT
-    x, y = np.meshgrid(across, -across)
-    plane = normalize(np.stack([x, y, -np.ones_like(x)], axis=-1))
-    return RemapTable.for_directions(plane @ CAMERA_FROM_FACE[face].T, size)
-
-
-def find_vertical(lines: Lines, near: Float[np.ndarray, " 3"] = UP) -> Vertical:
-    """The direction within :data:`MAX_TILT` of ``near`` that most segments point at; else ``near``, uncertain."""
-    length = np.linalg.norm(lines, axis=1)
-    longest = np.argsort(-length, kind="stable")
-    chosen = longest[np.abs(lines[longest] @ near) < math.sin(MAX_TILT) * length[longest]][:MAX_LINES]
-    length, normal = length[chosen], lines[chosen] / length[chosen, None]
-    if len(normal) < MIN_LINES:
-        return Vertical(near, math.inf, is_certain=False)
-    rng = np.random.default_rng(0)
-    pairs = rng.choice(len(normal), (2, HYPOTHESES), p=length / length.sum())
-    crossing = np.cross(normal[pairs[0]], normal[pairs[1]])
-    sine = np.linalg.norm(crossing, axis=1)
-    crossing = (crossing / np.maximum(sine, 1e-9)[:, None])[sine > math.sin(RIVAL_ANGLE)]
-    crossing *= np.where(crossing @ near < 0, -1.0, 1.0)[:, None]
-    hypotheses = np.concatenate([crossing[crossing @ near > math.cos(MAX_TILT)], near[None]])
-    off = np.einsum("ni,hi->nh", normal, hypotheses) / math.sin(VOTE_WIDTH)
-    votes = np.einsum("nh,n->h", np.maximum(1.0 - off**2, 0.0), length)
-    best = hypotheses[int(np.argmax(votes))]
-    rival = votes[hypotheses @ best < math.cos(RIVAL_ANGLE)].max(initial=0.0)
-    up = _fitted(best, normal, length)
-    halves = rng.random((HALVES, len(normal))) < 0.5
-    apart = [_fitted(up, normal[one], length[one]) - _fitted(up, normal[~one], length[~one]) for one in halves]
-    std = 0.5 * float(np.sqrt(np.mean(np.sum(np.square(apart), axis=1))))
-    count = int((np.abs(normal @ up) < FIT_WIDTH).sum())
-    return Vertical(up, std, bool(rival <= MAX_RIVAL_SHARE * votes.max() and count >= MIN_LINES))
-
-
-def _fitted(up: np.ndarray, normal: np.ndarray, length: np.ndarray) -> Float[np.ndarray, " 3"]:
-    """The zenith by least squares, with the weights of Geman and McClure."""
-    width = math.sin(VOTE_WIDTH)
-    for _ in range(FIT_ROUNDS):
-        robust = 1.0 / (1.0 + (normal @ up / width) ** 2) ** 2
-        axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", length * robust, normal, normal))[1]
-        up = axes[:, 0] * math.copysign(1.0, float(axes[:, 0] @ up))
-        width = max(0.8 * width, math.sin(FIT_WIDTH))
-    return up
-
 
 # Agreeing matches, and their share, from which on no more are looked for. With fewer a pose is often off by a degree,
 # with a smaller share it may be that of repeated things.
 ENOUGH_INLIERS, ENOUGH_SHARE = 60, 0.25
 
 # Share of its matches that a direction to the other side needs to be tried, and how much better pictures have to agree
-# with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.dense_agreement`).
+# with it: a true direction is ahead of its opposite by at least 1.5 (:mod:`omnisyn_cli.stereo.disparity`).
 MIN_RIVAL_SHARE, MIN_AGREEMENT_RATIO = 0.1, 1.2
 
 # How unlikely such a direction has to be by chance. (In a real corridor of equal doors pictures agreed 2.8 times better
@@ -147,7 +38,6 @@ MAX_RIVAL_LOG_FALSE_ALARMS = -40.0
 # Directions to the other side that two matches each propose, and how many of the best are counted exactly.
 RIVAL_SAMPLES, RIVAL_CANDIDATES = 400, 8
 LIKENESS_FEATURES = 600  # Of each panorama, for :meth:`Scan.likeness`: a hundredth of the time that all of them take
-SMALL_SIZE = (256, 512)  # Of the picture in colour that floors are looked for in
 
 # Mean difference of the first and last column, in sRGB values and in means of neighbouring columns, above which they do
 # not meet if no neighbours differ more. (Of 445 panoramas none is above, of parts of them two thirds.)
@@ -279,3 +169,55 @@ def _best_rival(pose: Pose, others: Matches) -> tuple[Pose, int]:
     rivals = [Pose(pose.rotation, ways[k]) for k in sorted({0, *best.tolist()})]
     support = [int(robust.support_mask(rival, others).sum()) for rival in rivals]
     return rivals[int(np.argmax(support))], max(support)
+
+
+# Matches of the strongest features, and the share of them without parallax, from which on all features are compared:
+# 0.65 or more in copies and exposure brackets of ±3 EV, at most 0.18 in pairs of real tours a step apart.
+MIN_PLACE_MATCHES, MIN_SCREENING_SHARE = 20, 0.4
+MIN_PLACE_SHARE = 0.9  # the same of all features, which have 0.93 or more in them
+MIN_TURN = math.radians(1.0)  # radians by which a second picture of a place has to be turned to show anything new
+
+
+def without_repeats(images: Sequence[Path], scans: Sequence[Scan]) -> tuple[list[Path], list[Scan], list[str]]:
+    """One image and its scan of every place, in order, and what there is to say about the others.
+
+    Pictures that were only turned on the spot stay if there is no other place. PoseError: all are of one place.
+    """
+    places = group_by_place(scans)
+    if len(places) == 1:
+        turns = [rotation_between(scans[0], scan) for scan in scans]
+        if not any(turn is not None and float(rotation_angle(turn)) > MIN_TURN for turn in turns):
+            raise PoseError(
+                f"{', '.join(map(str, images))}: expected pictures from two places, got one place (copies, or an "
+                "exposure bracket); add one from another place, or mask what moves with the camera (--nadir)"
+            )
+        return list(images), list(scans), []
+    notes = [
+        f"{' and '.join(images[k].name for k in place)} were taken from one place; only {images[place[0]].name} is used"
+        for place in places
+        if len(place) > 1
+    ]
+    return [images[place[0]] for place in places], [scans[place[0]] for place in places], notes
+
+
+def group_by_place(scans: Sequence[Scan]) -> list[list[int]]:
+    """The numbers of the panoramas of each place."""
+    places: list[list[int]] = []
+    for index, scan in enumerate(scans):
+        known = (place for place in places if rotation_between(scans[place[0]], scan) is not None)
+        if (place := next(known, None)) is None:
+            places.append(place := [])
+        place.append(index)
+    return places
+
+
+def rotation_between(first: Scan, second: Scan) -> Float[np.ndarray, "3 3"] | None:
+    """First-from-second rotation, if it explains the matches: then there is no parallax."""
+    for count, least in ((LIKENESS_FEATURES, MIN_SCREENING_SHARE), (features.MAX_FEATURES, MIN_PLACE_SHARE)):
+        matches = features.match_features(*(scan.features.strongest(count) for scan in (first, second)))
+        if len(matches) < MIN_PLACE_MATCHES:
+            return None
+        rotation = robust.best_rotation(matches)
+        if np.mean(robust.rotation_residual(rotation, matches) < matches.tolerance) < least:
+            return None
+    return rotation

@@ -14,10 +14,9 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_direction
-from omnisyn_cli.scenes.mesh.raycast import Caster, Hits, MeshCaster
+from omnisyn_cli.scenes.mesh.raycast import Caster, Hits, MeshCaster, sphere_directions
 from omnisyn_cli.scenes.mesh.texturing import SurfaceColours
 
-GOLDEN_RATIO = (1.0 + math.sqrt(5.0)) / 2.0  # Turns of a spiral by it spread points evenly (Fibonacci lattice)
 OFFSET = 2e-3  # Metres above its surface that a point asks for light
 AMBIENT_LIGHT = 0.05  # Light where nothing shines
 # Share of the scenes whose sky is as bright as their walls: few rays then leave no edges of shadows on plain walls.
@@ -77,15 +76,6 @@ class Lighting:
         """Colours (sRGB in [0, 1]) where nothing is."""
         rise = np.clip(directions[:, 1:2], 0.0, 1.0)
         return np.asarray(self.horizon * (1.0 - rise) + self.zenith * rise)
-
-
-def sphere_directions(count: int, turn: float = 0.0) -> Float[np.ndarray, "count 3"]:
-    """Unit vectors spread evenly (a Fibonacci spiral), turned about the vertical."""
-    index = np.arange(count)
-    height = 1.0 - 2.0 * (index + 0.5) / count
-    azimuth = 2.0 * math.pi * index / GOLDEN_RATIO + turn
-    side = np.sqrt(1.0 - height**2)
-    return np.stack([side * np.cos(azimuth), height, side * np.sin(azimuth)], axis=1)
 
 
 def draw_lighting(caster: MeshCaster, rng: np.random.Generator, around: Float[np.ndarray, " 3"], rays: int) -> Lighting:
