@@ -36,7 +36,7 @@ from omnisyn_cli.synthesis.prepared_pair import (
     soft_depths,
     usable_image,
 )
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+from omnisyn_cli.types import DepthEstimate, View
 
 PanoramaReader = Callable[..., Panorama]
 """Called as :func:`omnisyn_cli.io.read_panorama` is: with a path and its keywords."""
@@ -196,20 +196,19 @@ class PairSurfaces:
 
 
 def tour_surfaces(
-    plan: TourPlan, summary: TourSummary | None = None, *, estimator: DepthEstimator | None = None,
-    clock: Stopwatch | None = None,
-) -> Iterator[PairSurfaces]:  # fmt: skip
+    plan: TourPlan, summary: TourSummary | None = None, clock: Stopwatch | None = None
+) -> Iterator[PairSurfaces]:
     """The surfaces of every pair of the plan, one pair at a time, in order.
 
-    The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. An
-    estimator finds depth in place of that of the plan's config, of which depth, cut and device matter.
+    The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. Of the
+    plan's config depth, cut and device matter.
 
     Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
     doubtful and the fallback is to give up.
     """
     clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
     loader = Loader(plan, clock, read_panorama)
-    estimator = estimator or make_estimator(config.depth, device=config.device, threads=threads)
+    estimator = make_estimator(config.depth, device=config.device, threads=threads)
     tour = ChainDepth(loader, estimator, clock, threads, plan.pairs)
     for index, (first, second) in enumerate(plan.pairs):
         with limited_threads(threads):
