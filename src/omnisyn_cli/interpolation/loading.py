@@ -201,10 +201,8 @@ def tour_surfaces(
     """The surfaces of every pair of the plan, one pair at a time, in order.
 
     The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. Of the
-    plan's config depth, cut and device matter.
-
-    Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
-    doubtful and the fallback is to give up.
+    plan's config depth, cut and device matter. InputError: a picture, mask or depth file turns out to be damaged, a
+    network cannot be used, or a pair is doubtful and the fallback is to give up.
     """
     clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
     loader = Loader(plan, clock, read_panorama)
