@@ -12,6 +12,7 @@ import pytest
 from interpolation_samples import CHAIN, Hall, edit_poses, job_of, listing, write_entries
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation import loading
 from omnisyn_cli.interpolation import plan as planning
 from omnisyn_cli.interpolation.loading import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan, plan_interpolation, plan_tour, with_preset
@@ -252,8 +253,8 @@ def test_a_tour_says_how_many_panoramas_have_depth_from_both_neighbours(tmp_path
     assert two < three == five
 
 
-def surfaces_of(plan: TourPlan, **options: object) -> list[PanoramaSurface]:
-    return list(panorama_surfaces(tour_surfaces(plan, **options)))
+def surfaces_of(plan: TourPlan) -> list[PanoramaSurface]:
+    return list(panorama_surfaces(tour_surfaces(plan)))
 
 
 def test_every_pair_has_both_views_with_their_depth_and_mesh(tmp_path: Path) -> None:
@@ -269,7 +270,7 @@ def test_every_pair_has_both_views_with_their_depth_and_mesh(tmp_path: Path) -> 
             np.testing.assert_array_equal(surface.texture(), as_bytes(hall_image(pose)))
 
 
-def test_every_panorama_has_one_surface_of_what_both_its_pairs_found(tmp_path: Path) -> None:
+def test_every_panorama_has_one_surface_of_what_both_its_pairs_found(tmp_path: Path, monkeypatch) -> None:
     plan = plan_tour(job_of(tmp_path, write_hall(tmp_path, CHAIN, with_depth=False), fallback="none"))
     left = np.arange(SIZE[1]) < SIZE[1] // 2
     knows = iter([left, ~left])
@@ -279,18 +280,20 @@ def test_every_panorama_has_one_surface_of_what_both_its_pairs_found(tmp_path: P
         estimate = DepthEstimate(np.where(known > 0, np.float32(0.25), np.float32(0.7)), known)
         return estimate, estimate
 
-    first, middle, last = surfaces_of(plan, estimator=estimator)
+    monkeypatch.setattr(loading, "make_estimator", lambda *_, **__: estimator)
+    first, middle, last = surfaces_of(plan)
     assert [first.index, middle.index, last.index] == [0, 1, 2]
     np.testing.assert_array_equal(middle.mesh.inverse_depth, np.float32(0.25))
     for end, known in ((first, left), (last, ~left)):
         np.testing.assert_array_equal(end.mesh.inverse_depth == np.float32(0.25), np.broadcast_to(known, SIZE))
 
 
-def test_a_panorama_that_one_neighbour_shares_its_place_with_has_the_surface_of_the_other_pair(tmp_path: Path) -> None:
+def test_a_panorama_at_a_neighbours_place_has_the_surface_of_the_other_pair(tmp_path: Path, monkeypatch) -> None:
     poses = [CHAIN[0], CHAIN[1], CHAIN[1]]
     plan = plan_tour(job_of(tmp_path, write_hall(tmp_path, poses, with_depth=False)))
     found = DepthEstimate(np.full(SIZE, 0.25, np.float32), np.ones(SIZE, np.float32))
-    middle = surfaces_of(plan, estimator=lambda *_: (found, found))[1]
+    monkeypatch.setattr(loading, "make_estimator", lambda *_, **__: lambda *_: (found, found))
+    middle = surfaces_of(plan)[1]
     assert middle.depth is found
 
 

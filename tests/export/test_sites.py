@@ -16,6 +16,7 @@ from interpolation_samples import CHAIN
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import normalize
+from omnisyn_cli.interpolation import loading
 from omnisyn_cli.interpolation.export import run as writers
 from omnisyn_cli.interpolation.export.formats import ExportJob, plan_export
 from omnisyn_cli.interpolation.export.run import run_export
@@ -70,11 +71,12 @@ def test_a_site_is_complete_and_says_how_to_get_its_viewer(viewer, tour, tmp_pat
     assert "expected a new or empty folder" in omnisyn.refused("export", tour, "--format", viewer, "-o", site)
 
 
-def test_another_site_in_its_place_leaves_nothing_of_the_former_one(tour: Path, tmp_path: Path) -> None:
+def test_another_site_in_its_place_leaves_nothing_of_the_former_one(tour: Path, tmp_path: Path, monkeypatch) -> None:
     """But files that others have put there stay."""
     site, shorter = tmp_path / "site", tuple(tour / f"{name}.png" for name in ("hall", "garden"))
     first = replace(job_of_tour(tour, site), overwrite=True)
-    run_export(plan_export(first), estimator=flat)
+    monkeypatch.setattr(loading, "make_estimator", lambda *_, **__: flat)
+    run_export(plan_export(first))
     for name in ("mine.txt", "panoramas/mine.jpg"):
         (site / name).write_text("mine")
     (tour / "tour.json").write_text('{"version": 1}')
@@ -85,7 +87,7 @@ def test_another_site_in_its_place_leaves_nothing_of_the_former_one(tour: Path, 
 
 
 @pytest.mark.parametrize("end", [4, -20])
-def test_a_damaged_picture_is_found_before_depth_is(tour: Path, tmp_path: Path, end: int) -> None:
+def test_a_damaged_picture_is_found_before_depth_is(tour: Path, tmp_path: Path, monkeypatch, end: int) -> None:
     """Without a header, and without an end."""
     picture = tour / "picture.png"
     picture.write_bytes(picture.read_bytes()[:end])
@@ -93,8 +95,9 @@ def test_a_damaged_picture_is_found_before_depth_is(tour: Path, tmp_path: Path, 
     def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         raise AssertionError("expected no depth")
 
+    monkeypatch.setattr(loading, "make_estimator", lambda *_, **__: estimator)
     with pytest.raises(ImageError, match=r"picture\.png"):
-        run_export(plan_export(job_of_tour(tour, tmp_path / "site")), estimator=estimator)
+        run_export(plan_export(job_of_tour(tour, tmp_path / "site")))
 
 
 def test_panoramas_are_level_and_look_north(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
@@ -210,13 +213,14 @@ def test_krpano_meets_its_neighbours_where_links_say(krpano: Path) -> None:
     assert f"loadscene('{next(iter(scenes))}'" in str(actions["omnisyn_start"])
 
 
-def test_krpano_runs_nothing_that_texts_and_addresses_say(tour: Path, tmp_path: Path) -> None:
+def test_krpano_runs_nothing_that_texts_and_addresses_say(tour: Path, tmp_path: Path, monkeypatch) -> None:
     """``,()`` end arguments of its actions; in texts ``[…]`` are tags or expressions, and ``get:`` begins one."""
     document = json.loads((tour / "tour.json").read_text())
     document["hotspots"][0]["text"] = "get:[b]x[/b]"
     document["panoramas"]["hall.png"]["hotspots"][0]["link"] = "https://example.org/);js(alert(1));("
     (tour / "tour.json").write_text(json.dumps(document))
-    run_export(plan_export(job_of_tour(tour, tmp_path / "site")), estimator=flat)
+    monkeypatch.setattr(loading, "make_estimator", lambda *_, **__: flat)
+    run_export(plan_export(job_of_tour(tour, tmp_path / "site")))
     root = ElementTree.parse(tmp_path / "site" / "tour.xml").getroot()  # noqa: S314 - the test's own file
     spot = next(each for each in root.iter("hotspot") if "address" in each.attrib)
     assert spot.attrib["onclick"] == "openurl(get(address));"

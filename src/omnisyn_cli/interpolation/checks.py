@@ -9,7 +9,7 @@ from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.interpolation import job as jobs
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
-from omnisyn_cli.io.depth_files import check_depth_header
+from omnisyn_cli.io.depth_files import depth_size
 from omnisyn_cli.io.encode import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.io.images import check_mask_size, sphere_size
 from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder, real_path
@@ -118,7 +118,7 @@ def check_companions(
             if mask not in (None, jobs.FACES):
                 check_mask_size(mask, source_size(job, mask), size)
         if entry.depth is not None and config.depth.strategy.reads_files:
-            check_depth_header(read_header(entry.depth))
+            depth_size(read_header(entry.depth))
 
 
 def check_shape(job: InterpolationJob, size: tuple[int, int]) -> None:

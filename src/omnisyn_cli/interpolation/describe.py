@@ -36,9 +36,8 @@ def describe_file(
     """The ``kind`` of a file (``panorama``, ``depth``, ``poses`` or ``video``), by its ending and channels, and more.
 
     Images, which are read as ``reading`` says, of more than ``max_pixels`` are not decoded. With ``allow_outside``
-    depth and masks may lie outside of a pose file's folder.
-
-    Raises InputError: missing, damaged, or a video without a video stream; PoseError: a pose file that cannot be used.
+    depth and masks may lie outside of a pose file's folder. InputError: missing, damaged, or a video without a video
+    stream; PoseError: a pose file that cannot be used.
     """
     source = Path(path)
     suffix = source.suffix.lower()

@@ -39,9 +39,8 @@ def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outsid
 
     Of a folder those are taken that its pose file names, in its order; for poses from the pictures all of them, in the
     natural order of their names. The pose file is ``poses.json`` beside them by default; with ``allow_outside`` it may
-    name depth and masks outside of its folder.
-
-    Raises InputError: a folder without a pose file or among other names, or a panorama that is named there is missing.
+    name depth and masks outside of its folder. InputError: a folder without a pose file or among other names, or a
+    panorama that is named there is missing.
     """
     folder = next((path for path in given if path.is_dir()), None)
     place = folder or given[0].parent
@@ -61,8 +60,7 @@ def along_path(tour: NamedTour, path: str, *, allow_outside: bool = False) -> Na
     """The part of a tour that a path through its links names: the shortest way through some panoramas.
 
     ``path`` has names of two or more panoramas in walking order, with or without endings, separated by commas.
-
-    Raises InputError: there is no pose file, no such panorama, or no links lead from one to the next.
+    InputError: there is no pose file, no such panorama, or no links lead from one to the next.
     """
     if tour.poses == POSES_FROM_PICTURES:
         raise InputError(f"expected a pose file for a path through the tour, got --poses {tour.poses}; write one first")

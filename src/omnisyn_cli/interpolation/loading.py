@@ -27,16 +27,10 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.poses.floor import wall_distance
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.synthesis import prepared_pair
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
-from omnisyn_cli.synthesis.prepared_pair import (
-    SynthesisOptions,
-    drawn_surfaces,
-    measure_pair,
-    soft_depths,
-    usable_image,
-)
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+from omnisyn_cli.types import DepthEstimate, View
 
 PanoramaReader = Callable[..., Panorama]
 """Called as :func:`omnisyn_cli.io.read_panorama` is: with a path and its keywords."""
@@ -169,7 +163,7 @@ class PanoramaSurface:
 
     def texture(self) -> Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]:
         """The photograph, with masked pixels painted over from around them: samples of 8 bits, or RGB in [0, 1]."""
-        return usable_image(self.view, SynthesisOptions(self.mesh.size))
+        return prepared_pair.usable_image(self.view, prepared_pair.SynthesisOptions(self.mesh.size))
 
     def samples(self, columns: int | None = None) -> UInt8[np.ndarray, "rows cols 3"]:
         """That in 8 bits, at most so many columns wide."""
@@ -196,28 +190,26 @@ class PairSurfaces:
 
 
 def tour_surfaces(
-    plan: TourPlan, summary: TourSummary | None = None, *, estimator: DepthEstimator | None = None,
-    clock: Stopwatch | None = None,
-) -> Iterator[PairSurfaces]:  # fmt: skip
+    plan: TourPlan, summary: TourSummary | None = None, clock: Stopwatch | None = None
+) -> Iterator[PairSurfaces]:
     """The surfaces of every pair of the plan, one pair at a time, in order.
 
-    The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. An
-    estimator finds depth in place of that of the plan's config, of which depth, cut and device matter.
-
-    Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
-    doubtful and the fallback is to give up.
+    The summary is given what there is to know about pairs and panoramas, the clock the seconds of each stage. Of the
+    plan's config depth, cut and device matter. InputError: a picture, mask or depth file turns out to be damaged, a
+    network cannot be used, or a pair is doubtful and the fallback is to give up.
     """
     clock, config, threads = clock or Stopwatch(), plan.config, plan.job.threads
     loader = Loader(plan, clock, read_panorama)
-    estimator = estimator or make_estimator(config.depth, device=config.device, threads=threads)
+    estimator = make_estimator(config.depth, device=config.device, threads=threads)
     tour = ChainDepth(loader, estimator, clock, threads, plan.pairs)
     for index, (first, second) in enumerate(plan.pairs):
         with limited_threads(threads):
             views = loader[first], loader[second]
             size, cut = min(view.image.shape[:2] for view in views), Cut(config.cut, config.cut_metres)
-            depths, check = measure_pair(index, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
+            options = prepared_pair.SynthesisOptions(size, cut=cut, threads=threads)
+            depths, check = prepared_pair.measure_pair(index, tour, options, clock)
             with clock("mesh"):
-                softened = soft_depths(views, depths, check) if config.fallback == "soft" else None
+                softened = prepared_pair.soft_depths(views, depths, check) if config.fallback == "soft" else None
                 pair = pair_surfaces(plan, index, views, softened or depths, check, is_soft=softened is not None)
         refuse_doubtful(plan, index, check.confidence)
         if summary is not None:
@@ -234,7 +226,8 @@ def pair_surfaces(
     check: CrossCheck, *, is_soft: bool,
 ) -> PairSurfaces:  # fmt: skip
     """The surfaces of a pair whose depth is known, soft or not; the plan's config says where others are cut."""
-    views, depths, cut = drawn_surfaces(views, depths, Cut(plan.config.cut, plan.config.cut_metres), is_soft=is_soft)
+    cut = Cut(plan.config.cut, plan.config.cut_metres)
+    views, depths, cut = prepared_pair.drawn_surfaces(views, depths, cut, is_soft=is_soft)
     first, second = (
         PanoramaSurface(place, view, depth, mesh_of(view, depth, depth.inverse_depth, cut))
         for place, view, depth in zip(plan.pairs[index], views, depths, strict=True)

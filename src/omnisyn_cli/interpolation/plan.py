@@ -239,9 +239,8 @@ def plan_tour(
 ) -> TourPlan:
     """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
 
-    ``config_of`` says what they are made with, given the pose file's entry of every panorama.
-
-    Raises InputError: a file is missing, poses do not fit, an option makes no sense.
+    ``config_of`` says what they are made with, given the pose file's entry of every panorama. InputError: a file is
+    missing, poses do not fit, an option makes no sense.
     """
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")

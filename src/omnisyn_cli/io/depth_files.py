@@ -66,16 +66,13 @@ def write_depth(path: Path | str, depth: Float[np.ndarray, "height width"]) -> N
         write_channels(temporary, depth.astype(np.float32), (DEPTH_CHANNEL,), target)
 
 
-def check_depth_header(header: ImageHeader) -> None:
-    """Refuse (ImageError) what :func:`read_depth` would refuse for what its header says, before it is decoded."""
-    _depth_channel(header)
-    depth_size(header)
-
-
 def depth_size(header: ImageHeader) -> tuple[int, int]:
-    """Height and width of the sphere that :func:`read_depth` makes of a file; ImageError: not 2:1 or no sphere."""
-    placement = placement_of(header)
-    height, width = placement.full_height, placement.full_width
+    """Height and width of the sphere that :func:`read_depth` makes of a file.
+
+    ImageError: it would refuse the file for what its header says: of another kind, not 2:1, or no sphere.
+    """
+    _depth_channel(header)
+    height, width = placement_of(header).full_size
     if width != 2 * height:
         raise ImageError(f"{header.path}: expected depth twice as wide as high, got {width}×{height}; render it to 2:1")
     return height, width

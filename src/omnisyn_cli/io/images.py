@@ -84,7 +84,7 @@ def sphere_size(
 ) -> tuple[int, int]:
     """Height and width of the sphere that a file becomes in full; ImageError: too large, too small, not 2:1."""
     placement = placement_of(header, reading)
-    height, width = placement.full_height, placement.full_width
+    height, width = placement.full_size
     check_pixel_count(header.path, height, width, max_pixels)
     if min(height, width // 2) < MIN_PANORAMA_HEIGHT:
         raise ImageError(

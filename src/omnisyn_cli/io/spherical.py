@@ -16,18 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import InputError, WriteError
-from omnisyn_cli.io.boxes import (
-    Box,
-    FileBox,
-    broken_file_error,
-    child,
-    children_of,
-    map_boxes,
-    parse_movie,
-    serialize,
-    shift_offsets,
-    top_level_boxes,
-)
+from omnisyn_cli.io import boxes as mp4
 from omnisyn_cli.io.outputs import replaced_when_complete
 
 # Of the box with :data:`SPHERICAL_XML`: Spherical Video V1 RFC.
@@ -82,16 +71,16 @@ def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | 
     """
     origin, destination = Path(source), Path(target)
     ranks = {b"ftyp": 0, b"moov": 1}  # then everything else in its order
-    boxes = tuple(sorted(top_level_boxes(origin), key=lambda box: ranks.get(box.kind, 2)))
-    movie = parse_movie(origin, boxes)
+    boxes = tuple(sorted(mp4.top_level_boxes(origin), key=lambda box: ranks.get(box.kind, 2)))
+    movie = mp4.parse_movie(origin, boxes)
     _first_video_track(origin, movie)  # without one there is nothing to tag
     if stereo_mode is not None:
-        movie = map_boxes(movie, lambda box: _tagged(box, stereo_mode))
+        movie = mp4.map_boxes(movie, lambda box: _tagged(box, stereo_mode))
     # A table of offsets has the same size wherever it points, so the new movie's size is known before its content.
     wide = _is_wide(boxes, movie)
-    new_size = len(serialize(shift_offsets(origin, movie, lambda offset: offset, wide=wide)))
+    new_size = len(mp4.serialize(mp4.shift_offsets(origin, movie, lambda offset: offset, wide=wide)))
     new_offset = _offset_map(origin, boxes, new_size)
-    movie_bytes = serialize(shift_offsets(origin, movie, new_offset, wide=wide))
+    movie_bytes = mp4.serialize(mp4.shift_offsets(origin, movie, new_offset, wide=wide))
     with replaced_when_complete(destination) as temporary:
         _copy_boxes(origin, temporary, boxes, movie_bytes)
 
@@ -99,55 +88,55 @@ def inject_spherical(source: Path | str, target: Path | str, stereo_mode: str | 
 def read_spherical(path: Path | str) -> SphericalMetadata:
     """What the first video track of an MP4 or MOV file says about its projection; InputError: missing or malformed."""
     source = Path(path)
-    track = _first_video_track(source, parse_movie(source, top_level_boxes(source)))
+    track = _first_video_track(source, mp4.parse_movie(source, mp4.top_level_boxes(source)))
     width, height = struct.unpack_from(">HH", video_sample_entries(track)[0].head, SAMPLE_ENTRY_SIZE_AT)
     return SphericalMetadata(size=(height, width), **_version_1(track) | _version_2(source, track))
 
 
-def video_sample_entries(track: Box) -> tuple[Box, ...]:
+def video_sample_entries(track: mp4.Box) -> tuple[mp4.Box, ...]:
     """The opened sample entries of a track; none for a track that is not video."""
-    box: Box | None = track
+    box: mp4.Box | None = track
     for kind in (b"mdia", b"minf", b"stbl", b"stsd"):
-        box = child(box, kind) if box else None
+        box = mp4.child(box, kind) if box else None
     return tuple(entry for entry in (box.children if box else None) or () if entry.children is not None)
 
 
-def _first_video_track(path: Path, movie: Box) -> Box:
+def _first_video_track(path: Path, movie: mp4.Box) -> mp4.Box:
     track = next((box for box in movie.children or () if box.kind == b"trak" and video_sample_entries(box)), None)
     if track is None:
         raise InputError(f"{path}: expected a file with a video track, got none; check that this is the file you meant")
     return track
 
 
-def _tagged(box: Box, stereo_mode: str) -> Box:
+def _tagged(box: mp4.Box, stereo_mode: str) -> mp4.Box:
     """A video track with version 1, its sample entries with version 2; former tags are replaced."""
     if box.kind == b"trak" and video_sample_entries(box):
         others = (inner for inner in box.children or () if not _is_version_1(inner))
         stereo = "" if stereo_mode == "mono" else f"<GSpherical:StereoMode>{stereo_mode}</GSpherical:StereoMode>"
         text = SPHERICAL_XML.format(stereo=stereo)
-        return replace(box, children=(*others, Box(b"uuid", SPHERICAL_UUID + text.encode())))
+        return replace(box, children=(*others, mp4.Box(b"uuid", SPHERICAL_UUID + text.encode())))
     if box.kind == b"stsd" and box.children is not None:
         return replace(box, children=tuple(_tagged_entry(entry, stereo_mode) for entry in box.children))
     return box
 
 
-def _tagged_entry(entry: Box, stereo_mode: str) -> Box:
+def _tagged_entry(entry: mp4.Box, stereo_mode: str) -> mp4.Box:
     others = (box for box in entry.children or () if box.kind not in (b"st3d", b"sv3d"))
     # full boxes begin with version and flags, four zeros
-    header = Box(b"svhd", bytes(4) + SOFTWARE.encode() + b"\0")
-    orientation = Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))  # yaw, pitch, roll, 16.16 fixed point
-    whole_sphere = Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))  # top, bottom, left, right: uncropped
-    projection = Box(b"sv3d", b"", (header, Box(b"proj", b"", (orientation, whole_sphere))))
+    header = mp4.Box(b"svhd", bytes(4) + SOFTWARE.encode() + b"\0")
+    orientation = mp4.Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))  # yaw, pitch, roll, 16.16 fixed point
+    whole_sphere = mp4.Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))  # top, bottom, left, right: uncropped
+    projection = mp4.Box(b"sv3d", b"", (header, mp4.Box(b"proj", b"", (orientation, whole_sphere))))
     mode = next(number for number, name in STEREO_MODES.items() if name == stereo_mode)
-    return replace(entry, children=(*others, Box(b"st3d", bytes([0, 0, 0, 0, mode])), projection))
+    return replace(entry, children=(*others, mp4.Box(b"st3d", bytes([0, 0, 0, 0, mode])), projection))
 
 
-def _is_wide(boxes: tuple[FileBox, ...], movie: Box) -> bool:
+def _is_wide(boxes: tuple[mp4.FileBox, ...], movie: mp4.Box) -> bool:
     """Whether offsets may need 64 bits; a table at most doubles."""
-    return sum(box.end - box.start for box in boxes) + 2 * len(serialize(movie)) >= 1 << 32
+    return sum(box.end - box.start for box in boxes) + 2 * len(mp4.serialize(movie)) >= 1 << 32
 
 
-def _offset_map(path: Path, boxes: tuple[FileBox, ...], movie_size: int) -> Callable[[int], int]:
+def _offset_map(path: Path, boxes: tuple[mp4.FileBox, ...], movie_size: int) -> Callable[[int], int]:
     """The place in the new file of a byte in the old one; ``boxes`` are in their new order."""
     shifts, position = [], 0
     for box in boxes:
@@ -159,13 +148,13 @@ def _offset_map(path: Path, boxes: tuple[FileBox, ...], movie_size: int) -> Call
     def new_offset(offset: int) -> int:
         _, end, shift = shifts[max(bisect_right(starts, offset) - 1, 0)]
         if offset > end:
-            raise broken_file_error(path, f"media data at byte {offset}, outside of it")
+            raise mp4.broken_file_error(path, f"media data at byte {offset}, outside of it")
         return offset + shift
 
     return new_offset
 
 
-def _copy_boxes(source: Path, target: Path, boxes: tuple[FileBox, ...], movie: bytes) -> None:
+def _copy_boxes(source: Path, target: Path, boxes: tuple[mp4.FileBox, ...], movie: bytes) -> None:
     with source.open("rb") as reader, target.open("xb") as writer:
         for box in boxes:
             if box.kind == b"moov":
@@ -181,11 +170,11 @@ def _copy_boxes(source: Path, target: Path, boxes: tuple[FileBox, ...], movie: b
                 remaining -= len(block)
 
 
-def _is_version_1(box: Box) -> bool:
+def _is_version_1(box: mp4.Box) -> bool:
     return box.kind == b"uuid" and box.head[:16] == SPHERICAL_UUID
 
 
-def _version_1(track: Box) -> dict[str, Any]:
+def _version_1(track: mp4.Box) -> dict[str, Any]:
     """What the XML says. Nothing in it is expanded, so nothing in it can be hostile."""
     box = next(filter(_is_version_1, track.children or ()), None)
     if box is None:
@@ -200,18 +189,18 @@ def _version_1(track: Box) -> dict[str, Any]:
     }
 
 
-def _version_2(path: Path, track: Box) -> dict[str, Any]:
+def _version_2(path: Path, track: mp4.Box) -> dict[str, Any]:
     """What the sample entry says."""
     entry = video_sample_entries(track)[0]
-    stereo, spherical = child(entry, b"st3d"), child(entry, b"sv3d")
+    stereo, spherical = mp4.child(entry, b"st3d"), mp4.child(entry, b"sv3d")
     if spherical is None:
         return {}
-    inside = children_of(path, spherical.head)
-    projection = children_of(path, (child(inside, b"proj") or Box(b"proj", b"")).head)
+    inside = mp4.children_of(path, spherical.head)
+    projection = mp4.children_of(path, (mp4.child(inside, b"proj") or mp4.Box(b"proj", b"")).head)
     mode = STEREO_MODES.get(stereo.head[4], "unknown") if stereo and len(stereo.head) > 4 else "mono"
     found: dict[str, Any] = {"has_version_2": True, "stereo_mode": mode}
     if kinds := [PROJECTIONS[box.kind] for box in projection.children or () if box.kind in PROJECTIONS]:
         found["projection"] = kinds[0]
-    if header := child(inside, b"svhd"):
+    if header := mp4.child(inside, b"svhd"):
         found["software"] = header.head[4:].rstrip(b"\0").decode("utf-8", "replace")
     return found

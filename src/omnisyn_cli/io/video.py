@@ -59,18 +59,22 @@ class Encoding(TypedDict, total=False):
     soundtrack: Soundtrack | None  # of a video; images have none
 
 
-def check_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> None:
+def check_video(
+    path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]
+) -> encode.ImageSequence | EncoderSettings:
     """Refuse everything that :func:`open_video` would refuse, before any work; same arguments.
 
-    OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with the
-    codec. InputError: odd size, or a frame rate, quality, preset or sample type out of range.
+    The images that the path means come back, or how its video is encoded. OutputPathError: the target exists and
+    ``overwrite`` is off, no folder for it, or its ending does not go with the codec. InputError: odd size, or a frame
+    rate, quality, preset or sample type out of range.
     """
-    _checked(Path(path), overwrite, encoding)
-
-
-def check_encoding(path: Path, **encoding: Unpack[Encoding]) -> None:
-    """As :func:`check_video`, whatever there is on the disk."""
-    _resolved(path, **encoding)
+    target = Path(path)
+    resolved = check_encoding(target, **encoding)
+    if isinstance(resolved, EncoderSettings):
+        check_output(target, overwrite)
+    else:
+        encode.check_sequence(resolved, overwrite)
+    return resolved
 
 
 @contextmanager
@@ -84,7 +88,7 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
     WriteError: the disk is full, or the folder went away.
     """
     target = Path(path)
-    resolved = _checked(target, overwrite, encoding)
+    resolved = check_video(target, overwrite=overwrite, **encoding)
     if isinstance(resolved, EncoderSettings):
         place: AbstractContextManager[FrameSink] = _encoded(target, resolved, overwrite=overwrite)
     else:
@@ -93,17 +97,8 @@ def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[
         yield sink
 
 
-def _checked(path: Path, overwrite: bool, encoding: Encoding) -> encode.ImageSequence | EncoderSettings:
-    resolved = _resolved(path, **encoding)
-    if isinstance(resolved, EncoderSettings):
-        check_output(path, overwrite)
-    else:
-        encode.check_sequence(resolved, overwrite)
-    return resolved
-
-
-def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> encode.ImageSequence | EncoderSettings:
-    """The image sequence that a path means, or how its video is encoded."""
+def check_encoding(path: Path, *, codec: str | None = None, **encoding: Any) -> encode.ImageSequence | EncoderSettings:
+    """As :func:`check_video`, whatever there is on the disk."""
     sequence = _sequence_of(path, codec)
     if sequence is None:
         if codec in IMAGE_CODECS:

@@ -10,13 +10,8 @@ from jaxtyping import Float
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import (
-    Pose,
-    enu_from_geographic,
-    nearest_rotation,
-    rotation_from_heading,
-    rotation_from_quaternion,
-)
+from omnisyn_cli.geometry import pose as geometry
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.documents import expected
 
 # Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits.
@@ -131,19 +126,20 @@ class GeographicEntry(Model):
         return self.latitude, self.longitude, self.altitude
 
 
+Entry = RigidEntry | GeographicEntry
 COMMON_KEYS = frozenset({"depth", "mask", "title", "caption"})
 RIGID_KEYS = frozenset(RigidEntry.model_fields) - COMMON_KEYS
 GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - COMMON_KEYS
 
 
-def pose_from_entry(entry: RigidEntry | GeographicEntry, where: str, origin: tuple[float, float, float] | None) -> Pose:
+def pose_from_entry(entry: Entry, where: str, origin: tuple[float, float, float] | None) -> Pose:
     """Camera-to-world, metres, in the world that begins at ``origin``, else at the entry; ``where`` begins errors."""
     if isinstance(entry, RigidEntry):
         return _rigid_pose(where, entry)
     # Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
-    east, north, up = enu_from_geographic(*entry.origin, origin or entry.origin)
+    east, north, up = geometry.enu_from_geographic(*entry.origin, origin or entry.origin)
     angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
-    return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
+    return Pose(geometry.rotation_from_heading(*angles), np.array([east, up, -north]))
 
 
 def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
@@ -192,7 +188,7 @@ def checked_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.n
             f"{where}: expected a rotation (determinant +1), got a mirror image (−1); flip two axes, not one, or check "
             "the format"
         )
-    return nearest_rotation(matrix)
+    return geometry.nearest_rotation(matrix)
 
 
 def checked_quaternion(where: str, quaternion: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "3 3"]:
@@ -202,4 +198,4 @@ def checked_quaternion(where: str, quaternion: Float[np.ndarray, " 4"]) -> Float
         raise PoseError(
             f"{where}: expected a unit quaternion, got length {length:.6g}; check its order, or divide it by its length"
         )
-    return rotation_from_quaternion(quaternion)
+    return geometry.rotation_from_quaternion(quaternion)

@@ -20,16 +20,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import listed, read_json, validated
 from omnisyn_cli.io.outputs import check_output, real_path, relative_name, write_parts
-from omnisyn_cli.poses.entries import (
-    GEOGRAPHIC_KEYS,
-    RIGID_KEYS,
-    GeographicEntry,
-    PoseDocument,
-    RigidEntry,
-    checked_rotation,
-    path_problem,
-    pose_from_entry,
-)
+from omnisyn_cli.poses import entries as schema
 
 POSES_NAME = "poses.json"  # What a pose file is called where a folder stands for its panoramas
 VERSION = 1
@@ -208,18 +199,19 @@ def _json(value: Any) -> str:
 
 
 def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
-    document = validated(path, PoseDocument, value)
+    document = validated(path, schema.PoseDocument, value)
     entries = {name: _entry(path, name, entry, allow_outside) for name, entry in document.panoramas.items()}
-    kinds = {isinstance(entry, GeographicEntry): name for name, entry in reversed(entries.items())}  # the first of each
+    # of each kind the first
+    kinds = {isinstance(entry, schema.GeographicEntry): name for name, entry in reversed(entries.items())}
     if len(kinds) > 1:
         raise PoseError(
             f"{path}: expected all panoramas in one world, got '{kinds[True]}' with latitude and longitude mixed with "
             f"'{kinds[False]}' with a position; write all in the same way"
         )
-    origin = next((entry.origin for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
+    origin = next((entry.origin for entry in entries.values() if isinstance(entry, schema.GeographicEntry)), None)
     panoramas = {}
     for name, entry in entries.items():
-        pose = pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
+        pose = schema.pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
         depth, mask = (
             None if file is None else file_beside(path, file, f"panoramas.'{name}'.{key}", "pose file", allow_outside)
             for key, file in (("depth", entry.depth), ("mask", entry.mask))
@@ -228,7 +220,7 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     return PoseFile(path, panoramas, _links(path, document, panoramas), origin is not None, document.metric)
 
 
-def _links(path: Path, document: PoseDocument, known: Iterable[str]) -> tuple[tuple[str, str], ...] | None:
+def _links(path: Path, document: schema.PoseDocument, known: Iterable[str]) -> tuple[tuple[str, str], ...] | None:
     if document.links is None:
         return None
     if missing := [name for link in document.links for name in link if name not in known]:
@@ -236,8 +228,8 @@ def _links(path: Path, document: PoseDocument, known: Iterable[str]) -> tuple[tu
     return tuple((first, second) for first, second in document.links)
 
 
-def _uncertainty(entry: RigidEntry | GeographicEntry) -> PoseUncertainty | None:
-    if not isinstance(entry, RigidEntry) or entry.uncertainty is None:
+def _uncertainty(entry: schema.Entry) -> PoseUncertainty | None:
+    if not isinstance(entry, schema.RigidEntry) or entry.uncertainty is None:
         return None
     percent = entry.uncertainty.position_percent
     return PoseUncertainty(math.radians(entry.uncertainty.rotation_deg), None if percent is None else percent / 100.0)
@@ -257,24 +249,24 @@ def file_beside(path: Path, file: str, where: str, kind: str, allow_outside: boo
     return named
 
 
-def _entry(path: Path, name: str, value: Mapping[str, Any], allow_outside: bool) -> RigidEntry | GeographicEntry:
+def _entry(path: Path, name: str, value: Mapping[str, Any], allow_outside: bool) -> schema.Entry:
     """One entry, of the kind that its keys announce."""
     where = ("panoramas", name)
-    if problem := path_problem(name):
+    if problem := schema.path_problem(name):
         raise PoseError(f"{path}: panoramas: expected the file name of an image, got '{name}' ({problem}); correct it")
-    rigid, geographic = sorted(value.keys() & RIGID_KEYS), sorted(value.keys() & GEOGRAPHIC_KEYS)
+    rigid, geographic = sorted(value.keys() & schema.RIGID_KEYS), sorted(value.keys() & schema.GEOGRAPHIC_KEYS)
     if rigid and geographic:
         raise PoseError(
             f"{path}: panoramas.'{name}': expected either a position or a geographic place, got {', '.join(rigid)} "
             f"mixed with {', '.join(geographic)}; keep one kind"
         )
     if geographic:
-        return validated(path, GeographicEntry, value, where, allow_outside=allow_outside)
-    return validated(path, RigidEntry, value, where, allow_outside=allow_outside)
+        return validated(path, schema.GeographicEntry, value, where, allow_outside=allow_outside)
+    return validated(path, schema.RigidEntry, value, where, allow_outside=allow_outside)
 
 
 def _entry_values(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
-    rotation = quaternion_from_rotation(checked_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
+    rotation = quaternion_from_rotation(schema.checked_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
     pose = {"position": panorama.pose.position.tolist(), "rotation": rotation.tolist()}
     words = {key: text for key, text in (("title", panorama.title), ("caption", panorama.caption)) if text}
     known = _uncertainty_values(panorama.uncertainty)

@@ -123,9 +123,8 @@ class Tour:
                 continue
             done.add(here)
             for name in self.neighbours[here]:
-                if name not in done:
-                    step = math.dist(self.by_name[here].pose.position, self.by_name[name].pose.position)
-                    heapq.heappush(queue, (metres + step, (*path, name)))
+                step = math.dist(self.by_name[here].pose.position, self.by_name[name].pose.position)
+                heapq.heappush(queue, (metres + step, (*path, name)))
         raise PoseError(f"expected links that lead from '{first}' to '{last}', got none; add one to \"links\"")
 
     def path_through(self, names: Sequence[str]) -> tuple[str, ...]:

@@ -221,9 +221,8 @@ class GltfModel:
         """Add a panorama: a node at its pose (world-from-camera), with a picture as texture.
 
         Meshes are in the frame of the panorama, by what comes after the name for a node below it; the one of an empty
-        name is the node's own. Those without triangles are left out.
-
-        Raises InputError: the model has become larger than the format can say.
+        name is the node's own. Those without triangles are left out. InputError: the model has become larger than the
+        format can say.
         """
         material = self._append("materials", self._material(name, picture))
         node = self._append("nodes", {

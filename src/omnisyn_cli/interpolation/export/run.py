@@ -30,7 +30,7 @@ from omnisyn_cli.io.outputs import former_files, hidden_folder, make_folder, rep
 from omnisyn_cli.poses.file import POSES_NAME, distinct_names, write_poses
 from omnisyn_cli.poses.formats.files import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh
-from omnisyn_cli.types import DepthEstimator, View
+from omnisyn_cli.types import View
 
 # Share of its radius by which the dome of each panorama is larger than the last one's, so that none flickers.
 DOME_STEP_SHARE = 0.01
@@ -45,18 +45,15 @@ Count = Callable[[int], None]
 HOTSPOT_PIXELS = 2048  # longest side of the picture of a hotspot. Set by hand.
 
 
-def run_export(
-    plan: ExportPlan, on_panorama: Callable[[int], None] | None = None, *, estimator: DepthEstimator | None = None
-) -> ExportSummary:
+def run_export(plan: ExportPlan, on_panorama: Callable[[int], None] | None = None) -> ExportSummary:
     """Write the files; all of them appear when everything has gone well.
 
-    ``on_panorama`` is called with the number of finished panoramas after each; an estimator finds depth in place of the
-    plan's. InputError: as :func:`.loading.tour_surfaces`, or nothing is left to be shown. WriteError: the disk is full,
-    or the folder went away.
+    ``on_panorama`` is called with the number of finished panoramas after each. InputError: as for
+    :func:`.loading.tour_surfaces`, or nothing is left to be shown. WriteError: the disk is full, or no folder is left.
     """
     clock, summary = Stopwatch(), ExportSummary(plan)
     writers = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud, **dict.fromkeys(VIEWERS, _write_site)}
-    pairs = loading.tour_surfaces(plan, summary, estimator=estimator, clock=clock)
+    pairs = loading.tour_surfaces(plan, summary, clock)
     made = writers.get(plan.format, _write_dataset)(plan, pairs, clock, on_panorama or (lambda done: None))
     results = {"points": 0, "triangles": 0, "links": 0, **made}
     return replace(summary, seconds=clock.with_total(), results=results)

@@ -20,7 +20,6 @@ from omnisyn_cli.interpolation.viewer.packing import level_widths
 from omnisyn_cli.interpolation.viewer.page import MANIFEST_NAME, MAX_PAGE_BYTES, NAMED_BLOCK, write_folder, write_page
 from omnisyn_cli.io.documents import listed
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept, former_files, replaced_folder
-from omnisyn_cli.types import DepthEstimator
 
 # Of each pixel of a photograph in a page; everything is there twice, packed and as the text of the page.
 JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
@@ -120,13 +119,11 @@ def plan_view(job: ViewJob) -> ViewPlan:
     return ViewPlan(job, tour.entries, tour.source_sizes, tour.config, notes, tour.tour)
 
 
-def run_view(
-    plan: ViewPlan, on_pair: Callable[[int], None] | None = None, *, estimator: DepthEstimator | None = None
-) -> TourSummary:
+def run_view(plan: ViewPlan, on_pair: Callable[[int], None] | None = None) -> TourSummary:
     """Write the walk; all of it appears when everything has gone well.
 
-    ``on_pair`` is called with the number of finished pairs after each; an estimator finds depth in place of the plan's.
-    InputError: as :func:`tour_surfaces`. OutputPathError: too large for one file. WriteError: the disk is full.
+    ``on_pair`` is called with the number of finished pairs after each. InputError: as for :func:`tour_surfaces`.
+    OutputPathError: too large for one file. WriteError: the disk is full.
     """
     clock, job, summary = Stopwatch(), plan.job, TourSummary(plan)
     former = former_files(job.output, [MANIFEST_NAME], NAMED_BLOCK)
@@ -134,7 +131,7 @@ def run_view(
     with folder if job.is_folder else nullcontext() as staged:
         with clock("pack"):
             packer = TourPacker(plan, job.texture, is_lossless=job.is_lossless, folder=staged)
-        for done, pair in enumerate(tour_surfaces(plan, summary, estimator=estimator, clock=clock), start=1):
+        for done, pair in enumerate(tour_surfaces(plan, summary, clock), start=1):
             with clock("pack"):
                 packer.add(pair)
             if staged is None and packer.blocks.size * BASE64_RATIO > MAX_PAGE_BYTES:  # said as early as it shows

@@ -111,8 +111,7 @@ def _sizes(poses: PoseFile, folder: Path, size: Size | None) -> dict[str, Size]:
             f"{poses.path}: expected the panorama '{missing}' in '{folder}', for its size, got none; name the folder "
             "(--images) or the size (--size)"
         )
-    places = {name: placement_of(read_header(folder / name)) for name in poses.panoramas}
-    return {name: (place.full_height, place.full_width) for name, place in places.items()}
+    return {name: placement_of(read_header(folder / name)).full_size for name in poses.panoramas}
 
 
 def write_imported(

@@ -12,16 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.geometry.pose import (
-    Pose,
-    heading_from_rotation,
-    quaternion_from_rotation,
-    rotation_angle,
-    rotation_from_heading,
-    rotation_from_quaternion,
-    rotation_from_rotation_vector,
-    rotation_vector_from_rotation,
-)
+from omnisyn_cli.geometry import pose as geometry
+from omnisyn_cli.geometry.pose import Pose
 
 # Stages in which corrections are applied: numbers, then transforms, then axes, then the pair.
 NUMBER_STAGE, TRANSFORM_STAGE, AXES_STAGE, PAIR_STAGE = range(4)
@@ -83,7 +75,7 @@ def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> I
     """
     firsts, seconds = _angles_in_degrees(first.rotation), _angles_in_degrees(second.rotation)
     relative = np.swapaxes(firsts, 1, 2)[:, None] @ seconds[None]
-    for i, k in np.argwhere(rotation_angle(found.rotation.T @ relative) <= limit):
+    for i, k in np.argwhere(geometry.rotation_angle(found.rotation.T @ relative) <= limit):
         yield ConventionHypothesis(
             "degrees-for-radians", NUMBER_STAGE,
             "rotation angles in degrees were taken for radians",
@@ -93,8 +85,8 @@ def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> I
 
 
 def heading_angles(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Heading (−π to π), pitch and roll in radians; the inverse of :func:`rotation_from_heading`."""
-    heading, pitch, roll = heading_from_rotation(rotation)
+    """Heading (−π to π), pitch and roll in radians; the inverse of :func:`.rotation_from_heading`."""
+    heading, pitch, roll = geometry.heading_from_rotation(rotation)
     return math.remainder(heading, math.tau), pitch, roll
 
 
@@ -153,7 +145,8 @@ def _common() -> tuple[ConventionHypothesis, ...]:
               "the quaternions are [x, y, z, w] instead of [w, x, y, z]",
               "write w first",
               lambda pose: Pose(
-                  rotation_from_quaternion(np.roll(quaternion_from_rotation(pose.rotation), 1)), pose.position)),
+                  geometry.rotation_from_quaternion(np.roll(geometry.quaternion_from_rotation(pose.rotation), 1)),
+                  pose.position)),
         _each("radians-for-degrees", NUMBER_STAGE,
               "headings in radians were taken for degrees",
               "write heading, pitch and roll in degrees",
@@ -214,7 +207,7 @@ def _written(matrix: np.ndarray) -> str:
 
 def _angles(change: Callable[[Any], Any]) -> Callable[[Pose], Pose]:
     """Heading, pitch and roll are changed."""
-    return lambda pose: Pose(rotation_from_heading(*change(heading_angles(pose.rotation))), pose.position)
+    return lambda pose: Pose(geometry.rotation_from_heading(*change(heading_angles(pose.rotation))), pose.position)
 
 
 def _turned(matrix: np.ndarray) -> Callable[[Pose], Pose]:
@@ -224,10 +217,10 @@ def _turned(matrix: np.ndarray) -> Callable[[Pose], Pose]:
 
 def _angles_in_degrees(rotation: np.ndarray) -> np.ndarray:
     """Rotations ``(n, 3, 3)`` about the same axis by what the angle may have been before it was taken for radians."""
-    vector = rotation_vector_from_rotation(rotation)
+    vector = geometry.rotation_vector_from_rotation(rotation)
     angle = float(np.linalg.norm(vector))
     if angle < MIN_ANGLE:
         return rotation[None]
     degrees = angle + np.arange(-MAX_LOST_TURNS, MAX_LOST_TURNS + 1) * math.radians(360.0)
     degrees = degrees[np.abs(degrees) <= 180.0]
-    return rotation_from_rotation_vector(np.radians(degrees)[:, None] * vector / angle)
+    return geometry.rotation_from_rotation_vector(np.radians(degrees)[:, None] * vector / angle)

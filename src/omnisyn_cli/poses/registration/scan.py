@@ -112,12 +112,10 @@ def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
     matches = features.match_features(first.features, second.features)
     estimate = robust.estimate_relative_pose(matches, verticals=verticals) if len(matches) >= ENOUGH_INLIERS else None
     least = max(ENOUGH_INLIERS, ENOUGH_SHARE * len(matches))
-    is_enough = estimate is not None and not estimate.is_planar and estimate.inliers.sum() >= least
-    if is_enough:
-        return _with_right_direction(first, second, estimate, matches, verticals), matches
-    known = [] if estimate is None or estimate.have_same_position else [estimate.first_from_second]
-    matches += features.match_levelled_features(first.levelled, second.levelled)
-    estimate = robust.estimate_relative_pose(matches, known, verticals)
+    if estimate is None or estimate.is_planar or estimate.inliers.sum() < least:
+        known = [] if estimate is None or estimate.have_same_position else [estimate.first_from_second]
+        matches += features.match_levelled_features(first.levelled, second.levelled)
+        estimate = robust.estimate_relative_pose(matches, known, verticals)
     return _with_right_direction(first, second, estimate, matches, verticals), matches
 
 
