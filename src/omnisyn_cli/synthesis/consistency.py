@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess_pair
+from omnisyn_cli.fusion.confidence import PairConfidence, assess_pair
 from omnisyn_cli.fusion.photometry import (
     ExposureCurve,
     ExposureMatcher,

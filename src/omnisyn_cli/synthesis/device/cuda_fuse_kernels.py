@@ -14,7 +14,7 @@ from omnisyn_cli.fusion.blend_kernels import (
     quantize,
     view_weights,
 )
-from omnisyn_cli.fusion.confidence.frame_confidence import ConfidenceTolerances, pixel_confidence
+from omnisyn_cli.fusion.confidence import ConfidenceTolerances, pixel_confidence
 from omnisyn_cli.fusion.fill import fill_pixel, pull_pixel
 from omnisyn_cli.fusion.supersampling import MIN_CONTRAST_LEVELS
 from omnisyn_cli.fusion.supersampling_kernels import has_contrast, is_other_surface

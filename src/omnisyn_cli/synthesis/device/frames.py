@@ -21,7 +21,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.fusion.blend_kernels import kernel_rule, quantization_for
 from omnisyn_cli.fusion.blend_rule import BlendRule
-from omnisyn_cli.fusion.confidence.frame_confidence import TOLERANCES
+from omnisyn_cli.fusion.confidence import TOLERANCES
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostSuppression
 from omnisyn_cli.fusion.photometry import ExposureMatcher
