@@ -12,9 +12,9 @@ from jaxtyping import UInt8
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
+from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
+from omnisyn_cli.fusion.photometry import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
