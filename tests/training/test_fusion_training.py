@@ -10,10 +10,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendRule
-from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
-from omnisyn_cli.fusion.residual import ResidualFuser
+from omnisyn_cli.fusion.residual import InputBuilder, ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_RGB, CANDIDATE_SCALE, HYPOTHESIS_DEPTHS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
