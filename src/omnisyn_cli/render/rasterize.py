@@ -18,11 +18,16 @@ from omnisyn_cli.geometry.perspective import PerspectiveSize, target_tables
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
-from omnisyn_cli.render.edge_pixel_kernels import rasterize_edge_pixels
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.perspective_kernels import find_rows_of_blocks, rasterize_perspective
 from omnisyn_cli.render.quad_blocks import QuadBlocks
-from omnisyn_cli.render.raster_kernels import NO_FACE, find_block_bounds, rasterize_blocks
+from omnisyn_cli.render.raster_kernels import (
+    NO_FACE,
+    find_block_bounds,
+    find_rows_of_blocks,
+    rasterize_blocks,
+    rasterize_edge_pixels,
+    rasterize_perspective,
+)
 from omnisyn_cli.types import EdgePixels
 
 __all__ = ["NO_FACE", "Fragments", "PerspectiveRasterizer", "rasterize", "rows_of", "target_of", "view_of"]

@@ -16,8 +16,8 @@ from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render import box_kernels as box
 from omnisyn_cli.render import quad_kernels as quad
 from omnisyn_cli.render.draw_kernels import exact_corners, exact_setup, intersect_exactly
-from omnisyn_cli.render.perspective_kernels import perspective_box
 from omnisyn_cli.render.quad_blocks import BLOCK, HOLE_FLAG
+from omnisyn_cli.render.raster_kernels import perspective_box
 from omnisyn_cli.synthesis.device.cuda_device import device_function, kernel
 from omnisyn_cli.types import EDGE_TILE_COLUMNS
 
