@@ -3,6 +3,12 @@
 
 A block of quads goes through all steps in a scratch array that fits into the L1 cache: its points are transformed into
 the target's frame and projected, boxes are found, edges and planes are set up, rays are tested.
+
+In a perspective picture straight edges stay straight, so a quad in front of the camera lies in the box of its projected
+corners. Quads that lie beyond one of the sides of the view, or behind it, are left out before they are set up.
+
+The samples of edge pixels are pixels of a target of twice the size. Those of a row lie side by side, whatever their
+columns, so they are tested eight at a time as well; an index by tiles of columns tells which of them lie in a box.
 """
 
 import math
@@ -28,9 +34,6 @@ from omnisyn_cli.render.box_kernels import (
 )
 from omnisyn_cli.render.draw_kernels import (
     Box,
-    draw_box,
-    draw_exactly,
-    draw_narrow_box,
     draw_quads,
     exact_corners,
     exact_setup,
@@ -48,12 +51,15 @@ HALF_LANES = LANES // 2  # samples of a row that are tested together, with those
 
 
 @kernel()
-def find_block_bounds(quads, pose, target, boxes, begin, end):
-    """Write first and last target row, first and last column that blocks ``begin`` to ``end`` can touch."""
+def find_block_bounds(quads, pose, target, view, boxes, begin, end):
+    """Write first and last target row, first and last column that blocks ``begin`` to ``end`` can touch.
+
+    For the arguments see :func:`rasterize_blocks`. The last one is smaller if none can be seen.
+    """
     block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     for k in range(begin, end):
         placed = place_quads(quads, k, pose, target.scale, block)
-        find_quad_boxes(block, placed, target.rows[0], target.height, target.width)
+        _find_boxes(block, placed, target, view)
         _write_bounds(block, boxes, k)
 
 
@@ -73,12 +79,13 @@ def _range(first, last):
 
 
 @kernel()
-def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
+def rasterize_blocks(quads, boxes, pose, target, view, face, begin, end):
     """Draw all quads in rows ``begin`` to ``end`` of :class:`omnisyn_cli.render.draw_kernels.Target`.
 
     ``boxes``: of :func:`find_block_bounds`; written if all rows are drawn at once. ``pose``: three rows of a rotation
-    with the shift behind them, target from panorama. ``face``: written, twice the index of the quad that is seen, plus
-    one for its second triangle; None if nobody wants it.
+    with the shift behind them, target from panorama. ``view``: of a perspective picture, see :func:`perspective_box`;
+    None for a panorama. ``face``: written, twice the index of the quad that is seen, plus one for its second triangle;
+    None if nobody wants it.
     """
     target.inverse_depth[begin * target.width : end * target.width] = -1.0
     if face is not None:
@@ -88,11 +95,12 @@ def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
     for k in range(len(boxes)):
         if is_whole or (boxes[k, 0] < end and boxes[k, 1] >= begin):
             placed = place_quads(quads, k, pose, target.scale, block)
-            find_quad_boxes(block, placed, target.rows[0], target.height, target.width)
+            _find_boxes(block, placed, target, view)
             if is_whole:
                 _write_bounds(block, boxes, k)
-            set_up_quads(block, placed, np.int64(0), np.int64(BLOCK))  # types as elsewhere: compiled once
-            draw_quads(block, placed, 2 * BLOCK * k, target, face, begin, end)
+            if boxes[k, 1] >= boxes[k, 0]:
+                set_up_quads(block, placed, np.int64(0), np.int64(BLOCK))  # types as elsewhere: compiled once
+                draw_quads(block, placed, 2 * BLOCK * k, target, view, face, begin, end)
 
 
 @inlined()
@@ -139,67 +147,18 @@ def perspective_box(block, corners, k, gap, view, height, width):
 
 
 @subkernel()
-def _find_perspective_boxes(block, quads, view, height, width):
-    """Boxes of the quads of a block with placed points, see :func:`perspective_box`."""
+def _find_boxes(block, quads, target, view):
+    """Boxes of the quads of a block with placed points."""
+    if view is None:
+        find_quad_boxes(block, quads, target.rows[0], target.height, target.width)
+        return
     for k in range(BLOCK):
         gap = quads.gaps[k] if len(quads.gaps) > 0 else np.float32(0.0)
-        first_row, last_row, first_col, last_col = perspective_box(block, quads.corners, k, gap, view, height, width)
+        first_row, last_row, first_col, last_col = perspective_box(
+            block, quads.corners, k, gap, view, target.height, target.width
+        )
         block[FIRST_ROW, k], block[LAST_ROW, k] = first_row, last_row
         block[FIRST_COL, k], block[LAST_COL, k] = first_col, last_col
-
-
-@kernel()
-def find_rows_of_blocks(quads, pose, target, view, rows, begin, end):
-    """Write the first and the last row that blocks ``begin`` to ``end`` can touch; the last is smaller if none."""
-    block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
-    for k in range(begin, end):
-        placed = place_quads(quads, k, pose, target.scale, block)
-        _find_perspective_boxes(block, placed, view, target.height, target.width)
-        first, last = block[FIRST_ROW, 0], block[LAST_ROW, 0]
-        for i in range(1, BLOCK):
-            first, last = min(first, block[FIRST_ROW, i]), max(last, block[LAST_ROW, i])
-        rows[k, 0], rows[k, 1] = np.int32(first), np.int32(last)
-
-
-@kernel()
-def rasterize_perspective(quads, rows, pose, target, view, face, begin, end):
-    """Draw all quads in rows ``begin`` to ``end`` of :class:`omnisyn_cli.render.draw_kernels.Target`.
-
-    ``rows``: of :func:`find_rows_of_blocks`. ``pose``: three rows of a rotation with the shift behind them, target from
-    panorama. ``view``: as :func:`_find_perspective_boxes` takes it. ``face``: written, see
-    :func:`omnisyn_cli.render.raster_kernels.rasterize_blocks`; None if nobody wants it.
-    """
-    width = target.width
-    target.inverse_depth[begin * width : end * width] = -1.0
-    if face is not None:
-        face[begin * width : end * width] = NO_FACE
-    block = empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
-    for k in range(len(rows)):
-        if rows[k, 0] < end and rows[k, 1] >= begin and rows[k, 1] >= rows[k, 0]:
-            placed = place_quads(quads, k, pose, target.scale, block)
-            _find_perspective_boxes(block, placed, view, target.height, width)
-            set_up_quads(block, placed, np.int64(0), np.int64(BLOCK))  # types as elsewhere: compiled once
-            _draw_perspective_quads(block, placed, 2 * BLOCK * k, target, face, begin, end)
-
-
-@subkernel()
-def _draw_perspective_quads(block, quads, number, target, face, begin, end):
-    """Draw the set-up quads of a block in target rows ``begin`` to ``end``; arguments as of ``draw_quads``."""
-    for k in range(BLOCK):
-        first_row, last_row = max(np.int64(block[FIRST_ROW, k]), begin), min(np.int64(block[LAST_ROW, k]), end - 1)
-        first_col, last_col = np.int64(block[FIRST_COL, k]), np.int64(block[LAST_COL, k])
-        if block[PRECISION, k] == SKIPPED_QUAD or first_row > last_row or first_col > last_col:
-            continue
-        box = Box(first_row, last_row, first_col, last_col)
-        if block[PRECISION, k] == IN_FLOAT32 and target.width >= LANES:
-            if last_col - first_col < LANES // 2:
-                draw_narrow_box(block, k, number + 2 * k, box, target, face)
-            else:
-                draw_box(block, k, number + 2 * k, box, target, face)
-        else:
-            gap = np.float64(quads.gaps[k]) if len(quads.gaps) > 0 else 0.0
-            points = exact_corners(block, quads.corners, quads.codes[k], k)
-            draw_exactly(points, gap, number + 2 * k, box, target, face)
 
 
 @kernel()
@@ -207,7 +166,7 @@ def rasterize_edge_pixels(quads, boxes, pose, target, edge_pixels, out):
     """Inverse depth of the samples of edge pixels, the upper row and then the lower one, negative if nothing is seen.
 
     ``boxes``: of the blocks of ``quads`` in the target itself, see
-    :func:`omnisyn_cli.render.raster_kernels.find_block_bounds`. ``pose``: three rows of a rotation with the shift
+    :func:`find_block_bounds`. ``pose``: three rows of a rotation with the shift
     behind them, target from panorama. ``target`` has twice the size; its image is not used. ``out``: ``inverse_depth``
     of the :class:`omnisyn_cli.types.EdgePixels`, flat, changed.
     """
