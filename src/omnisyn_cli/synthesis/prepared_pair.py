@@ -1,7 +1,6 @@
 """What the frames between two neighbouring views are made from: their depth and their surfaces."""
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -17,7 +16,7 @@ from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
 from omnisyn_cli.synthesis.ground import continue_ground
-from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
+from omnisyn_cli.synthesis.soft_surface import UNCUT, soft_depths
 from omnisyn_cli.types import DepthEstimate, View
 
 
@@ -81,8 +80,9 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     whole = chain.views[first_view], chain.views[second_view]
     with clock("mesh"):
         softened = soft_depths(whole, depths, check) if options.soften else None
-        surfaces = drawn_surfaces(whole, softened or depths, options.cut, is_soft=softened is not None)
-        (first, second), drawn_depths, cut = surfaces
+        (first, second), drawn_depths, cut = drawn_surfaces(
+            whole, softened or depths, options.cut, is_soft=softened is not None
+        )
         options = replace(options, cut=cut)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
@@ -102,26 +102,11 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, softened)
 
 
-class DrawnSurfaces(NamedTuple):
-    """What the surfaces of a pair are made of; the ground is continued below masks."""
-
-    views: tuple[View, View]
-    depths: tuple[DepthEstimate, DepthEstimate]
-    cut: Cut
-
-
-def soft_depths(
-    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
-) -> tuple[DepthEstimate, DepthEstimate] | None:
-    """Depth of soft surfaces, for a pair that cannot be relied on; None for others."""
-    return soften_pair(views, depths, check) if needs_soft_surface(views, depths, check) else None
-
-
 def drawn_surfaces(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, *, is_soft: bool
-) -> DrawnSurfaces:
-    """What surfaces are made of, given their depth; they are cut by ``cut`` unless they are soft."""
-    return DrawnSurfaces(*continue_ground(views, depths), UNCUT if is_soft else cut)
+) -> tuple[tuple[View, View], tuple[DepthEstimate, DepthEstimate], Cut]:
+    """What surfaces are made of: the ground is continued below masks; soft ones are not cut, others by ``cut``."""
+    return *continue_ground(views, depths), UNCUT if is_soft else cut
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
@@ -146,8 +131,8 @@ def usable_image(
     """
     if view.mask is None or view.mask.all():
         return view.image_uint8 if view.image_uint8 is not None and options.renderer.shades_on_demand else view.image
-    image = np.array(view.image, np.float32)
-    HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
+    fill = HoleFiller(view.mask.shape, options.threads)
+    image = fill(np.array(view.image, np.float32), view.mask.astype(np.float32))
     if view.image_uint8 is None or not options.renderer.shades_on_demand:
         return image
     return np.where(view.mask[..., None], view.image_uint8, np.rint(255.0 * image).astype(np.uint8))
