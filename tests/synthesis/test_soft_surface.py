@@ -17,10 +17,9 @@ from omnisyn_cli.io.images import outside_nadir
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.synthesis import frame
 from omnisyn_cli.synthesis.consistency import cross_check
-from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import CrossFade, SynthesisOptions
 from omnisyn_cli.synthesis.soft_surface import is_enclosed, reliabilities, soften_pair
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint, plan_path
