@@ -26,7 +26,7 @@ from omnisyn_cli.interpolation.viewer.packing import Blocks, confidence_codes, i
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.images import read_picture
 from omnisyn_cli.io.outputs import real_path
-from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.config import make_method
 from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
 from omnisyn_cli.poses.tour import FloorPlan, Hotspot, StartView
 from omnisyn_cli.render.mesh import Mesh
