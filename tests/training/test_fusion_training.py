@@ -17,8 +17,7 @@ from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_RGB
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
-from omnisyn_cli.render.reprojection import Reprojector
-from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.shade import Reprojector, Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import load_network, publish

@@ -12,8 +12,7 @@ from omnisyn_cli.geometry.perspective import equivalent_rows
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.reprojection import Reprojector
-from omnisyn_cli.render.shade import Shader, make_confidence_map
+from omnisyn_cli.render.shade import Reprojector, Shader, make_confidence_map
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
