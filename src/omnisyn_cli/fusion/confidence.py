@@ -20,11 +20,6 @@ from omnisyn_cli.geometry.sampling import add_columns, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourStep, Layer
 
-# Confidence of what only one layer shows, however reliable its depth: nothing confirms it. Set by hand.
-ONE_VIEW_CONFIDENCE = np.float32(0.6)
-# Relative difference of inverse depth at which confidence has fallen to 1/e. Set by hand.
-DEPTH_TOLERANCE = np.float32(0.1)
-COLOUR_TOLERANCE = np.float32(0.15)  # root mean square difference of colour at which it has. Set by hand.
 REGION_ROWS = 32  # rows of the coarse grid of regions: about 6°. Set by hand.
 # Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Set by hand.
 GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
@@ -62,14 +57,15 @@ def confidence_step(
 
 
 class ConfidenceTolerances(NamedTuple):
-    """:data:`ONE_VIEW_CONFIDENCE`, :data:`DEPTH_TOLERANCE` and :data:`COLOUR_TOLERANCE` as kernels take them."""
+    """What pixels are judged by, as kernels take it. All set by hand."""
 
-    one_view_confidence: np.float32
-    depth: np.float32
-    colour: np.float32
+    # confidence of what only one layer shows, however reliable its depth: nothing confirms it
+    one_view_confidence: np.float32 = np.float32(0.6)
+    depth: np.float32 = np.float32(0.1)  # relative difference of inverse depth at which confidence has fallen to 1/e
+    colour: np.float32 = np.float32(0.15)  # root mean square difference of colour at which it has
 
 
-TOLERANCES = ConfidenceTolerances(ONE_VIEW_CONFIDENCE, DEPTH_TOLERANCE, COLOUR_TOLERANCE)
+TOLERANCES = ConfidenceTolerances()
 
 
 @inlined(fastmath=True)

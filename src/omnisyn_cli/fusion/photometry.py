@@ -13,7 +13,7 @@ from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.exposure_curve import ExposureCurve, estimate_gain, srgb_to_linear
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler, View
+from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, View
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -54,15 +54,14 @@ class ExposureMatcher:
         def change(colour: np.ndarray) -> None:
             expose_rows(colour, table, loss, CLIPPING_SRGB)
 
-        def colour_rows(begin: int, end: int, out: Array) -> None:
-            layer.colour_rows(begin, end, out)
-            change(out)
-
+        sampler = layer.source_sampler
+        if sampler is not None:
+            sample_rows = _exposed_in_place(sampler.sample_rows, change)
+            sampler = replace(sampler, sample_rows=sample_rows, sample=_exposed(sampler.sample, change))
         return replace(
-            layer, colour_rows=colour_rows, subsampled_colours=_exposed(layer.subsampled_colours, change),
-            cached_colour=None,
+            layer, colour_rows=_exposed_in_place(layer.colour_rows, change), cached_colour=None,
+            subsampled_colours=_exposed(layer.subsampled_colours, change), source_sampler=sampler,
             edge_samples=None if layer.edge_samples is None else partial(_exposed_samples, layer.edge_samples, change),
-            source_sampler=None if layer.source_sampler is None else _exposed_sampler(layer.source_sampler, change),
         )  # fmt: skip
 
 
@@ -77,22 +76,22 @@ def _exposed(colours: Callable[..., Array], change: Callable[[Array], None]) -> 
     return exposed
 
 
+def _exposed_in_place(write: Callable[..., None], change: Callable[[Array], None]) -> Callable[..., None]:
+    """A function whose last argument is given exposed colours."""
+
+    def written(*arguments: Any) -> None:
+        write(*arguments)
+        change(arguments[-1])
+
+    return written
+
+
 def _exposed_samples(
     edge_samples: Callable[[EdgePixels], EdgeSamples], change: Callable[[Array], None], edge_pixels: EdgePixels
 ) -> EdgeSamples:
     inverse_depth, colour = edge_samples(edge_pixels)
     change(colour)
     return inverse_depth, colour
-
-
-def _exposed_sampler(sampler: SourceSampler, change: Callable[[Array], None]) -> SourceSampler:
-    """A sampler whose colours are exposed."""
-
-    def sample_rows(inverse_depth: np.ndarray, top: int, out: np.ndarray) -> None:
-        sampler.sample_rows(inverse_depth, top, out)
-        change(out)
-
-    return replace(sampler, sample_rows=sample_rows, sample=_exposed(sampler.sample, change))
 
 
 def clipped_weight_loss(table: Float[np.ndarray, "3 entries"]) -> np.float32:

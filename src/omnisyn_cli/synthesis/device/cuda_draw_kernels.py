@@ -57,20 +57,15 @@ class DeviceTarget(NamedTuple):
     mark: int  # the bit of a mark that counts; 0 draws all pixels
 
 
-@device_function(fastmath=True)
-def _clear(number, group):
-    nearest, count = group
-    if number < len(nearest):
-        nearest[number] = UNSEEN_BITS
-    if number == 0:
-        count[0] = 0
-
-
 @kernel(fastmath=True)
 def clear(count, group):
     """Nothing is seen yet, and nothing is listed."""
+    nearest, listed = group
     for number in range(cuda.grid(1), count, cuda.gridsize(1)):
-        _clear(number, group)
+        if number < len(nearest):
+            nearest[number] = UNSEEN_BITS
+        if number == 0:
+            listed[0] = 0
 
 
 @device_function
