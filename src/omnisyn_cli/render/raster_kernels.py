@@ -60,13 +60,14 @@ def find_block_bounds(quads, pose, target, view, boxes, begin, end):
     for k in range(begin, end):
         placed = place_quads(quads, k, pose, target.scale, block)
         _find_boxes(block, placed, target, view)
-        _write_bounds(block, boxes, k)
+        _write_bounds(block, boxes, k, view)
 
 
 @inlined()
-def _write_bounds(block, boxes, k):
+def _write_bounds(block, boxes, k, view):
     boxes[k, 0], boxes[k, 1] = _range(block[FIRST_ROW], block[LAST_ROW])
-    boxes[k, 2], boxes[k, 3] = _range(block[FIRST_COL], block[LAST_COL])
+    if view is None:  # columns are asked for by samples of edge pixels alone
+        boxes[k, 2], boxes[k, 3] = _range(block[FIRST_COL], block[LAST_COL])
 
 
 @fast_subkernel()
@@ -97,7 +98,7 @@ def rasterize_blocks(quads, boxes, pose, target, view, face, begin, end):
             placed = place_quads(quads, k, pose, target.scale, block)
             _find_boxes(block, placed, target, view)
             if is_whole:
-                _write_bounds(block, boxes, k)
+                _write_bounds(block, boxes, k, view)
             if boxes[k, 1] >= boxes[k, 0]:
                 set_up_quads(block, placed, np.int64(0), np.int64(BLOCK))  # types as elsewhere: compiled once
                 draw_quads(block, placed, 2 * BLOCK * k, target, view, face, begin, end)
@@ -146,17 +147,20 @@ def perspective_box(block, corners, k, gap, view, height, width):
     )
 
 
-@subkernel()
+@inlined()
 def _find_boxes(block, quads, target, view):
     """Boxes of the quads of a block with placed points."""
     if view is None:
         find_quad_boxes(block, quads, target.rows[0], target.height, target.width)
-        return
+    else:
+        _find_perspective_boxes(block, quads, view, target.height, target.width)
+
+
+@subkernel()
+def _find_perspective_boxes(block, quads, view, height, width):
     for k in range(BLOCK):
         gap = quads.gaps[k] if len(quads.gaps) > 0 else np.float32(0.0)
-        first_row, last_row, first_col, last_col = perspective_box(
-            block, quads.corners, k, gap, view, target.height, target.width
-        )
+        first_row, last_row, first_col, last_col = perspective_box(block, quads.corners, k, gap, view, height, width)
         block[FIRST_ROW, k], block[LAST_ROW, k] = first_row, last_row
         block[FIRST_COL, k], block[LAST_COL, k] = first_col, last_col
 
