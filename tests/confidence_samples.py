@@ -7,8 +7,7 @@ import numpy as np
 from omnisyn_cli.evaluation.measure import depth_record
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.pipeline.config import DepthSource, RunConfig
-from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig, make_method
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View

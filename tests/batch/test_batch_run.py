@@ -218,7 +218,7 @@ def installed(tmp_path, monkeypatch):
     monkeypatch.setattr(models, "models_folder", lambda: folder)
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     fuser = lambda name, settings, **_: GeometricFuser(settings.size, threads=1)  # noqa: E731
-    monkeypatch.setattr("omnisyn_cli.pipeline.factory.make_fuser", fuser)
+    monkeypatch.setattr("omnisyn_cli.pipeline.config.make_fuser", fuser)
     return folder
 
 

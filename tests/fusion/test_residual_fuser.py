@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendRule
-from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, disagreement_mask
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
-from omnisyn_cli.fusion.residual import ResidualFuser, network_size
+from omnisyn_cli.fusion.residual import InputBuilder, ResidualFuser, downsample_rows, network_size
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_SCALE
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions

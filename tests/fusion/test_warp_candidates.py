@@ -12,10 +12,11 @@ from omnisyn_cli.baselines import direct_fuser
 from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
 from omnisyn_cli.fusion import warp_candidates
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
-from omnisyn_cli.fusion.input_builder import downsampled_pair
+from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, fusion_input_channels
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
-from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
+from omnisyn_cli.fusion.photometry import ExposureMatcher
+from omnisyn_cli.fusion.residual import downsampled_pair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions

@@ -9,8 +9,7 @@ from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
-from omnisyn_cli.render.reprojection import Reprojector
-from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.shade import Reprojector, Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, EdgePixels
 

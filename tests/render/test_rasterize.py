@@ -13,7 +13,7 @@ from omnisyn_cli.render import quad_kernels
 from omnisyn_cli.render.eyes import EYE_DISTANCE, top_bottom
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUAD
-from omnisyn_cli.render.rasterize import PerspectiveRasterizer, Rasterizer, rasterize
+from omnisyn_cli.render.rasterize import Rasterizer, rasterize
 from omnisyn_cli.render.simplify import simplify
 from reference_rasterizer import rasterize_reference
 
@@ -202,7 +202,7 @@ def assert_equal_in_perspective(mesh: Mesh, pose: Pose, shape: tuple[int, int], 
     """Nearly everywhere the same face; there the same inverse distance along the axis."""
     size = PerspectiveSize(*shape, fov)
     drawn = np.empty(shape[0] * shape[1], np.int32)
-    inverse_depth = PerspectiveRasterizer(size, threads=2)(mesh.blocks, pose, drawn)
+    inverse_depth = Rasterizer(size, threads=2)(mesh.blocks, pose, drawn)
     expected = rasterize_reference(mesh.triangles(), pose, shape, rays_of(size, fov))
     is_same = mesh.face_numbers(drawn).reshape(shape) == expected.face
     assert is_same.mean() > 0.97
@@ -232,7 +232,7 @@ def test_simplified_surfaces_have_no_gaps():
     mesh, pose = build_mesh(smooth(32, 64), WHOLE), Pose(np.eye(3), np.array([0.2, 0.1, 0.5]))
     quads, count = simplify(mesh, -pose.position, 400)
     assert count < mesh.face_count()
-    assert (PerspectiveRasterizer(PerspectiveSize(90, 160, 1.6))(quads, pose) > 0).all()
+    assert (Rasterizer(PerspectiveSize(90, 160, 1.6))(quads, pose) > 0).all()
 
 
 def test_tables_and_cells_are_the_rays_of_a_pinhole():

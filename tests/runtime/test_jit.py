@@ -220,7 +220,7 @@ def test_its_video_has_what_costs_most_to_compile(tmp_path: Path, monkeypatch: p
 
         monkeypatch.setattr(module, name, watched)
 
-    for module, name in ((shade, "shade_rows"), (shade, "shade_edge_pixels"), (warp_candidates.kernels, "mix_rows")):
+    for module, name in ((shade, "shade_rows"), (shade, "shade_edge_pixels"), (warp_candidates, "mix_rows")):
         watch(module, name)
     with monkeypatch.context() as context:
         context.setattr(subprocess, "Popen", lambda command, **options: command)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numba.cuda.simulator import kernel as simulator
 
+from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.perspective import PerspectiveSize
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector

@@ -25,9 +25,8 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.networks.export import export_network
 from omnisyn_cli.networks.fusion import FusionConfig, ResidualFusionUNet
-from omnisyn_cli.pipeline.config import DepthSource, RunConfig
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig, make_method
 from omnisyn_cli.pipeline.depth_sources import make_estimator
-from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
 from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE

@@ -17,11 +17,10 @@ from omnisyn_cli.io.images import outside_nadir
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.synthesis import frame
 from omnisyn_cli.synthesis.consistency import cross_check
-from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
-from omnisyn_cli.synthesis.soft_surface import is_enclosed, soften_pair
+from omnisyn_cli.synthesis.prepared_pair import CrossFade, SynthesisOptions
+from omnisyn_cli.synthesis.soft_surface import is_enclosed, reliabilities, soften_pair
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint, plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, Layer, View
@@ -54,7 +53,7 @@ def step_share(depth: DepthEstimate, rows: slice) -> float:
 def test_torn_depth_becomes_one_smooth_surface_for_both_views_and_confirmed_depth_stays(room) -> None:
     true = KnownDepth()(*room)
     torn = with_noise(true[0], 1), with_noise(true[1], 2)
-    soft = soften_pair(room, torn, cross_check(room, torn, Cut()))
+    soft = soften_pair(room, torn, reliabilities(torn, cross_check(room, torn, Cut())))
     low, high = slice(SIZE[0] * 5 // 8, SIZE[0] * 15 // 16), slice(SIZE[0] // 4, SIZE[0] * 3 // 8)
     for before, after, right in zip(torn, soft, true, strict=True):
         assert step_share(before, low) > 0.05
@@ -84,7 +83,7 @@ def in_a_box(pose: Pose) -> tuple[View, DepthEstimate]:
 def test_walls_that_nobody_confirms_stay_flat_in_spite_of_what_stands_before_them() -> None:
     boxes = in_a_box(posed((0.0, 0.0, 0.7))), in_a_box(posed((0.0, 0.0, -0.7)))
     views, depths = (boxes[0][0], boxes[1][0]), (boxes[0][1], boxes[1][1])
-    soft = soften_pair(views, depths, cross_check(views, depths, Cut()))
+    soft = soften_pair(views, depths, reliabilities(depths, cross_check(views, depths, Cut())))
     for after in soft:
         rays = pixel_directions(*SIZE)
         floor = rays[..., 1] < -0.8
@@ -97,10 +96,12 @@ def test_walls_that_nobody_confirms_stay_flat_in_spite_of_what_stands_before_the
 def test_a_room_is_enclosed_and_a_street_is_not(kind: str, expected: bool) -> None:
     first, _, last = generated_views(kind, 104, 1.0, SIZE)
     depths = KnownDepth()(first, last)
-    assert is_enclosed((first, last), depths, cross_check((first, last), depths, Cut())) == expected
+    known = reliabilities(depths, cross_check((first, last), depths, Cut()))
+    assert is_enclosed((first, last), depths, known) == expected
     noise = np.random.default_rng(0).random(last.image.shape, np.float32)
     other = replace(last, image=noise)  # near, but not confirmed: the sky of a pair that fails
-    assert not is_enclosed((first, other), depths, cross_check((first, other), depths, Cut()))
+    unknown = reliabilities(depths, cross_check((first, other), depths, Cut()))
+    assert not is_enclosed((first, other), depths, unknown)
 
 
 HEIGHT = 1.6

@@ -10,16 +10,14 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendRule
-from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
-from omnisyn_cli.fusion.residual import ResidualFuser
+from omnisyn_cli.fusion.residual import InputBuilder, ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_RGB, CANDIDATE_SCALE, HYPOTHESIS_DEPTHS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
-from omnisyn_cli.render.reprojection import Reprojector
-from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.shade import Reprojector, Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import load_network, publish

@@ -11,9 +11,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
+from omnisyn_cli.fusion.residual import downsampled_pair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction

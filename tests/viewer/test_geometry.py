@@ -25,8 +25,7 @@ from omnisyn_cli.interpolation.viewer.contents import CORRECTION_SCALE, NO_CORRE
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
-from omnisyn_cli.pipeline.config import RunConfig
-from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.config import RunConfig, make_method
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, View

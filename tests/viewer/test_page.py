@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from interpolation_samples import CHAIN, edit_poses, listing, tour_job
 from omnisyn_cli.errors import InputError, OutputPathError, PoseError
-from omnisyn_cli.fusion.photometry import ExposureCurve
+from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.interpolation.viewer import packing
 from omnisyn_cli.interpolation.viewer import run as walk_run
 from omnisyn_cli.interpolation.viewer.contents import _gains

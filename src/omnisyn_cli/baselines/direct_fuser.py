@@ -13,8 +13,7 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import have_same_position
-from omnisyn_cli.fusion.input_builder import downsampled_pair
-from omnisyn_cli.fusion.residual import network_size
+from omnisyn_cli.fusion.residual import downsampled_pair, network_size
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer

@@ -20,8 +20,7 @@ from omnisyn_cli.render.mesh import Mesh, Triangles
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NO_FACE, Fragments
 from omnisyn_cli.render.renderer import RendererInputs
-from omnisyn_cli.render.reprojection import Reprojector
-from omnisyn_cli.render.shade import Shader, make_confidence_map
+from omnisyn_cli.render.shade import Reprojector, Shader, make_confidence_map
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import Layer
 

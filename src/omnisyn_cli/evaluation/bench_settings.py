@@ -40,9 +40,8 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.documents import append_line, complete_lines
 from omnisyn_cli.io.outputs import make_folder, scratch_folder, staged_folder
-from omnisyn_cli.pipeline.config import RunConfig
+from omnisyn_cli.pipeline.config import RunConfig, make_method
 from omnisyn_cli.pipeline.depth_sources import make_estimator
-from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.runtime.monocular_session import peak_memory

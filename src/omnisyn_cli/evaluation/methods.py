@@ -24,9 +24,8 @@ from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.pipeline.config import FALLBACKS, DepthSource, RunConfig
+from omnisyn_cli.pipeline.config import FALLBACKS, DepthSource, RunConfig, make_method
 from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH, make_estimator
-from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE

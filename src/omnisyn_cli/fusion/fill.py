@@ -33,11 +33,12 @@ class HoleFiller:
 
     def __call__(
         self, image: Float32[np.ndarray, "height width 3"], weight: Float32[np.ndarray, "height width"]
-    ) -> None:
+    ) -> Float32[np.ndarray, "height width 3"]:
         """Fill, in place, the pixels of ``image`` whose ``weight`` is 0, across the seam; without any it is black."""
         if weight.min() <= 0.0:
             self._pull((image, weight), self.half)
             self.fill(image, weight)
+        return image
 
     def fill(self, image: Shaped[np.ndarray, "height width 3"], seen: Shaped[np.ndarray, "height width"]) -> None:
         """The same, for float32 or unsigned integers, after :attr:`half` has been written; ``seen`` is 0 in holes."""

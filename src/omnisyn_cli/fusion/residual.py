@@ -13,19 +13,23 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.blend_rule import BlendRule
+from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays
+from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import GhostSuppression, have_same_position
-from omnisyn_cli.fusion.input_builder import InputBuilder
-from omnisyn_cli.fusion.input_channels import needs_no_network
+from omnisyn_cli.fusion.input_channels import fusion_input_channels, needs_no_network
 from omnisyn_cli.fusion.layer_pair import LayerPair, LayerPairShader
-from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates
+from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates, make_warp_candidates
 from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.sampling import max_pool
-from omnisyn_cli.types import Layer, SourceSampler
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer, SourceSampler
 
 SIZE_MULTIPLE = 32  # of the network's input: it halves its input five times
 MIN_CORRECTION_STRENGTH = 1e-6  # below it the correction could change no colour, so the network is not run
+TILE_COARSE_ROWS = 4  # rows of the smaller size that are averaged together. Set by hand.
+# Rows and columns of a large block that are read: 16 pixels are enough for its mean. Set by hand.
+SAMPLES_PER_BLOCK_SIDE = 4
 
 
 def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
@@ -34,6 +38,8 @@ def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Flo
     return np.asarray(1.0 - dilate(strength, 1), np.float32)
 
 
+# Channels, candidates, and how much of the network's weights is taken, in [0, 1].
+Correction = tuple[Float32[np.ndarray, "channels height width"], WarpCandidates, Float32[np.ndarray, "height width"]]
 # Takes the channels of :class:`InputBuilder` to blend weights ``(4, height, width)`` of the warp candidates.
 ResidualFusionNetwork = Callable[[np.ndarray], np.ndarray]
 
@@ -85,14 +91,9 @@ class ResidualFuser(GeometricFuser):
         return self._inputs is not None and rule.occlusion_strength >= MIN_CORRECTION_STRENGTH
 
     def inputs(
-        self,
-        small: tuple[Layer, Layer],
-        suppression: GhostSuppression | None,
-        rule: BlendRule,
+        self, small: tuple[Layer, Layer], suppression: GhostSuppression | None, rule: BlendRule,
         source_samplers: tuple[SourceSampler, SourceSampler],
-    ) -> (
-        tuple[Float32[np.ndarray, "channels height width"], WarpCandidates, Float32[np.ndarray, "height width"]] | None
-    ):
+    ) -> Correction | None:  # fmt: skip
         """Channels, candidates and strength of the correction, given both layers downsampled; None if none is needed.
 
         ValueError: it changes nothing there, see :meth:`is_corrected`.
@@ -123,3 +124,94 @@ def source_samplers(first: Layer, second: Layer) -> tuple[SourceSampler, SourceS
     if first.source_sampler is None or second.source_sampler is None:
         raise ValueError("expected layers with a source sampler, got others; use the geometric fusion")
     return first.source_sampler, second.source_sampler
+
+
+class InputBuilder:
+    """Makes channels of a size from layers :data:`CANDIDATE_SCALE` times that or larger. Not shared between threads."""
+
+    def __init__(self, size: tuple[int, int], tiles: LayerPairShader) -> None:
+        self.size, self._tiles = size, tiles
+        self._filler = HoleFiller(size, tiles.threads)
+
+    def __call__(
+        self, layers: LayerPair, rule: BlendRule, source_samplers: tuple[SourceSampler, SourceSampler]
+    ) -> tuple[Float32[np.ndarray, "channels height width"], WarpCandidates]:
+        """The channels of both parts, and the candidates that the network chooses from."""
+        fine = downsampled_pair(layers, (CANDIDATE_SCALE * self.size[0], CANDIDATE_SCALE * self.size[1]), self._tiles)
+        first, second = (_halve(layer) for layer in fine)
+        baseline = float(np.linalg.norm(first.offset - second.offset))
+        channels = fusion_input_channels(first, second, rule, baseline, self._filler)
+        candidates = make_warp_candidates(*fine, source_samplers, baseline, self._tiles.threads)
+        return np.concatenate([channels, candidates.channels]), candidates
+
+
+def downsampled_pair(
+    layers: LayerPair, size: tuple[int, int], tiles: LayerPairShader
+) -> tuple[LayerArrays, LayerArrays]:
+    """Both layers at a smaller size: weighted block means of what is seen; colours are clipped to [0, 1]."""
+    (height, _), (rows, _) = tiles.size, size
+    colours, rhos = np.empty((2, *size, 4), np.float32), np.empty((2, *size), np.float32)
+    both = (layers.first, layers.second)
+
+    def downsample(top: int, bottom: int, *shaded: np.ndarray) -> None:
+        for layer, colour, coarse, rho in zip(both, shaded, colours, rhos, strict=True):
+            downsample_rows(colour, layer.inverse_depth[top:bottom], coarse, rho, top, height)
+
+    tiles(layers, downsample, [*(i * height // rows for i in range(0, rows, TILE_COARSE_ROWS)), height])
+    first, second = (
+        LayerArrays(colour[..., :3], colour[..., 3], rho, layer.target_from_source.position.astype(np.float32))
+        for layer, colour, rho in zip(both, colours, rhos, strict=True)
+    )
+    return first, second
+
+
+def _halve(layer: LayerArrays) -> LayerArrays:
+    """The layer at the size of the channels."""
+    rows, cols = layer.weight.shape
+    size = (rows // CANDIDATE_SCALE, cols // CANDIDATE_SCALE)
+    colour, rho = np.empty((*size, 4), np.float32), np.empty(size, np.float32)
+    weighted = np.concatenate([layer.colour, layer.weight[..., None]], axis=-1)
+    downsample_rows(weighted, layer.inverse_depth, colour, rho, 0, rows)
+    return replace(layer, colour=colour[..., :3], weight=colour[..., 3], inverse_depth=rho)
+
+
+@fast_kernel()
+def downsample_rows(colour, rho, coarse, coarse_rho, top, height):  # type: ignore[no-untyped-def]
+    """Some rows of a layer at a smaller size: means over blocks of what is seen, by its weight.
+
+    Of large blocks only :data:`SAMPLES_PER_BLOCK_SIDE` rows and columns, or some more, are read. ``colour`` ``(rows,
+    width, 4)``, RGB and weight, and ``rho`` are rows of whole blocks, from ``top`` on, of a frame of ``height`` rows.
+    Written are ``coarse``, RGB in [0, 1] and mean weight, 0 where nothing is seen, and ``coarse_rho``, −1 there.
+    """
+    width = rho.shape[1]
+    rows, cols = coarse_rho.shape
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for i in range(-(-top * rows // height), -(-(top + len(rho)) * rows // height)):
+        above, below = i * height // rows - top, (i + 1) * height // rows - top
+        for j in range(cols):
+            left, right = j * width // cols, (j + 1) * width // cols
+            row_step = max(1, (below - above) // SAMPLES_PER_BLOCK_SIDE)
+            col_step = max(1, (right - left) // SAMPLES_PER_BLOCK_SIDE)
+            red = green = blue = rho_sum = total = zero
+            count = 0
+            for row in range(above, below, row_step):
+                for col in range(left, right, col_step):
+                    count += 1
+                    weight = colour[row, col, 3]
+                    if weight > MIN_VISIBLE_WEIGHT:
+                        red += weight * colour[row, col, 0]
+                        green += weight * colour[row, col, 1]
+                        blue += weight * colour[row, col, 2]
+                        rho_sum += weight * max(rho[row, col], zero)
+                        total += weight
+            weight = total / np.float32(count)
+            if weight > MIN_VISIBLE_WEIGHT:
+                coarse[i, j, 0] = min(one, max(zero, red / total))
+                coarse[i, j, 1] = min(one, max(zero, green / total))
+                coarse[i, j, 2] = min(one, max(zero, blue / total))
+                coarse[i, j, 3] = weight
+                coarse_rho[i, j] = rho_sum / total
+            else:
+                for k in range(4):
+                    coarse[i, j, k] = zero
+                coarse_rho[i, j] = -one

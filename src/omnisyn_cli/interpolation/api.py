@@ -25,9 +25,8 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.io import open_video, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
-from omnisyn_cli.pipeline.config import DepthSource, RunConfig, frame_size
+from omnisyn_cli.pipeline.config import DepthSource, RunConfig, frame_size, make_method
 from omnisyn_cli.pipeline.depth_sources import make_estimator
-from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.synthesis.consistency import equalize_exposure

@@ -27,7 +27,7 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.poses.floor import wall_distance
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
-from omnisyn_cli.synthesis import prepared_pair
+from omnisyn_cli.synthesis import prepared_pair, soft_surface
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.types import DepthEstimate, View
@@ -209,7 +209,7 @@ def tour_surfaces(
             options = prepared_pair.SynthesisOptions(size, cut=cut, threads=threads)
             depths, check = prepared_pair.measure_pair(index, tour, options, clock)
             with clock("mesh"):
-                softened = prepared_pair.soft_depths(views, depths, check) if config.fallback == "soft" else None
+                softened = soft_surface.soft_depths(views, depths, check) if config.fallback == "soft" else None
                 pair = pair_surfaces(plan, index, views, softened or depths, check, is_soft=softened is not None)
         refuse_doubtful(plan, index, check.confidence)
         if summary is not None:

@@ -27,12 +27,13 @@ from omnisyn_cli.io import FrameSink, open_video, read_panorama, write_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
 from omnisyn_cli.io.video import BackgroundSink, FrameRing, frames_in_queue
-from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.config import make_method
 from omnisyn_cli.poses.floor import height_in_depth, wall_distance
 from omnisyn_cli.render.eyes import top_bottom
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
-from omnisyn_cli.synthesis.prepared_pair import measure_pair, soft_depths
+from omnisyn_cli.synthesis.prepared_pair import measure_pair
+from omnisyn_cli.synthesis.soft_surface import soft_depths
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator
 

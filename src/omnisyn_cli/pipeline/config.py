@@ -1,16 +1,22 @@
-"""What frames are made with, as one value in which nothing is left open."""
+"""What frames are made with, as one value in which nothing is left open, and the method that it stands for."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from omnisyn_cli.pipeline.choices import chosen
-from omnisyn_cli.pipeline.depth_sources import DepthSource
-from omnisyn_cli.pipeline.fusions import FUSIONS, FusionStrategy
-from omnisyn_cli.pipeline.methods import METHODS, OMNISYN, MethodStrategy
+from omnisyn_cli.pipeline.depth_sources import DepthSource, make_estimator
+from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, FusionStrategy, make_fuser
+from omnisyn_cli.pipeline.methods import METHODS, OMNISYN, MethodParts, MethodStrategy
 from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
 
-__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size"]
+if TYPE_CHECKING:
+    from omnisyn_cli.compute.stopwatch import Stopwatch
+    from omnisyn_cli.synthesis.methods import Method
+    from omnisyn_cli.types import DepthEstimator, Fuser
+
+__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size", "make_method"]
 
 # What pairs of low confidence get besides a warning: a smooth surface where depth is not confirmed, the photographs
 # cross-faded in doubtful regions, nothing; or an error.
@@ -84,3 +90,25 @@ class RunConfig:
         """Those that have a part in it, by name in the manifest or as paths: of depth, then of fusion."""
         fusing = self.fusion_strategy.model if self.draws_surfaces else None
         return self.method_strategy.networks or (*self.depth.networks, *(() if fusing is None else (fusing,)))
+
+
+def make_method(
+    config: RunConfig, size: tuple[int, int], *, threads: int | None = None, clock: Stopwatch | None = None,
+    estimator: DepthEstimator | None = None, fuser: Fuser | None = None,
+) -> Method:  # fmt: skip
+    """Frames of a size by a config; surfaces may have an own estimator and fuser. InputError: no network or device."""
+    from omnisyn_cli.render.mesh import Cut
+    from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+
+    options = SynthesisOptions(
+        size, config.renderer_strategy.load(), Cut(config.cut, config.cut_metres), threads,
+        cross_fade=config.fallback == "crossfade", soften=config.fallback == "soft", confidence=config.confidence,
+        adaptive=config.adaptive,
+    )  # fmt: skip
+    settings = FuserSettings(size, threads, config.fusion_rows, config.edges)
+    networks = "auto" if config.device == "cuda" and config.draws_surfaces else config.device
+    return config.method_strategy.make(MethodParts(
+        options, clock, config.device, config.frames_on_gpu and fuser is None,
+        lambda: estimator or make_estimator(config.depth, device=networks, threads=threads),
+        lambda: fuser or make_fuser(config.fusion, settings, device=networks),
+    ))  # fmt: skip

@@ -145,7 +145,7 @@ def _draw_row(block, k, number, row, first_col, last_col, target, face):
 
 
 @inlined()
-def draw_box(block, k, number, box, target, face):
+def _draw_box(block, k, number, box, target, face):
     """A box inside the image, eight columns of one row at a time."""
     rows, cols, out, width = target.rows, target.cols, target.inverse_depth, target.width
     for row in range(box.first_row, box.last_row + 1):
@@ -162,7 +162,7 @@ def draw_box(block, k, number, box, target, face):
 
 
 @inlined()
-def draw_narrow_box(block, k, number, box, target, face):
+def _draw_narrow_box(block, k, number, box, target, face):
     """A box of up to four columns: two rows at a time, so that no lane is idle."""
     rows, cols = target.rows, target.cols
     out, width = target.inverse_depth, target.width
@@ -303,7 +303,7 @@ def intersect_exactly(setup, x, y, z):
 
 
 @subkernel(fastmath={"contract"})
-def draw_exactly(points, gap, number, box, target, face):
+def _draw_exactly(points, gap, number, box, target, face):
     """Both triangles of a quad in float64 against the rays in a box; columns outside the image wrap."""
     rows, cols = target.exact_rows, target.exact_cols
     out, width = target.inverse_depth, target.width
@@ -337,18 +337,19 @@ def exact_corners(block, corners, code, k):
 
 
 @subkernel()
-def draw_quads(block, quads, number, target, face, begin, end):
+def draw_quads(block, quads, number, target, view, face, begin, end):
     """Draw the set-up quads of a block in target rows ``begin`` to ``end``.
 
     ``quads``: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`. ``number``: of the first face; each quad has two.
-    ``target``: :class:`Target`. ``face``: face numbers, row after row, written; None if nobody wants them.
+    ``target``: :class:`Target`. ``view``: None for a panorama. ``face``: face numbers, row after row, written; None if
+    nobody wants them.
     """
     width = target.width
     for k in range(BLOCK):
         if block[PRECISION, k] == SKIPPED_QUAD:
             continue
         first_col, last_col = np.int64(block[FIRST_COL, k]), np.int64(block[LAST_COL, k])
-        if last_col - first_col >= width - 1:
+        if view is None and last_col - first_col >= width - 1:
             own_gap = quads.gaps[k] if len(quads.gaps) > 0 else np.float32(0.0)
             tighten_wide_box(block, quads.corners, k, own_gap, target.height, width)
             first_col, last_col = np.int64(block[FIRST_COL, k]), np.int64(block[LAST_COL, k])
@@ -356,7 +357,7 @@ def draw_quads(block, quads, number, target, face, begin, end):
         if first_row > last_row or first_col > last_col:
             continue
         is_float32 = block[PRECISION, k] == IN_FLOAT32 and width >= LANES
-        if is_float32 and last_col - first_col >= MIN_SPAN_COLUMNS:
+        if view is None and is_float32 and last_col - first_col >= MIN_SPAN_COLUMNS:
             if last_col - first_col >= width - 1:  # centred on the quad, so that spans can be clipped at both ends
                 first_col = np.int64(block[COL, quads.corners[0] + k]) - width // 2
                 last_col = first_col + width - 1
@@ -365,10 +366,10 @@ def draw_quads(block, quads, number, target, face, begin, end):
         box = Box(first_row, last_row, first_col, last_col)
         if is_float32 and first_col >= 0 and last_col < width:
             if last_col - first_col < LANES // 2:
-                draw_narrow_box(block, k, number + 2 * k, box, target, face)
+                _draw_narrow_box(block, k, number + 2 * k, box, target, face)
             else:
-                draw_box(block, k, number + 2 * k, box, target, face)
+                _draw_box(block, k, number + 2 * k, box, target, face)
         else:
             gap = np.float64(quads.gaps[k]) if len(quads.gaps) > 0 else 0.0
             points = exact_corners(block, quads.corners, quads.codes[k], k)
-            draw_exactly(points, gap, number + 2 * k, box, target, face)
+            _draw_exactly(points, gap, number + 2 * k, box, target, face)

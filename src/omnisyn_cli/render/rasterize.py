@@ -18,14 +18,17 @@ from omnisyn_cli.geometry.perspective import PerspectiveSize, target_tables
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
-from omnisyn_cli.render.edge_pixel_kernels import rasterize_edge_pixels
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.perspective_kernels import find_rows_of_blocks, rasterize_perspective
 from omnisyn_cli.render.quad_blocks import QuadBlocks
-from omnisyn_cli.render.raster_kernels import NO_FACE, find_block_bounds, rasterize_blocks
+from omnisyn_cli.render.raster_kernels import (
+    NO_FACE,
+    find_block_bounds,
+    rasterize_blocks,
+    rasterize_edge_pixels,
+)
 from omnisyn_cli.types import EdgePixels
 
-__all__ = ["NO_FACE", "Fragments", "PerspectiveRasterizer", "rasterize", "rows_of", "target_of", "view_of"]
+__all__ = ["NO_FACE", "Fragments", "Rasterizer", "rasterize", "rows_of", "target_of", "view_of"]
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,22 @@ class Fragments:
 
 
 class Rasterizer:
-    """Rasterises into one target size. Tables and image are reused from frame to frame, by one caller at a time."""
+    """Rasterises into panoramas or perspective pictures of one size; these have no samples of edge pixels.
+
+    Tables and image are reused from frame to frame, by one caller at a time.
+    """
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
         self._inverse_depth = np.empty(size, np.float32)
         self._target = target_of(size, self._inverse_depth)
+        self._view = view_of(size) if isinstance(size, PerspectiveSize) else None
         self._boxes = np.empty((0, 4), np.int32)
+
+    @property
+    def samples_edges(self) -> bool:
+        """Whether edge pixels have samples."""
+        return self._view is None
 
     @cached_property
     def _double_target(self) -> Target:
@@ -61,13 +73,17 @@ class Rasterizer:
     ) -> Float32[np.ndarray, "height width"]:
         """Inverse depth from the target's centre, negative where nothing is seen; the next call overwrites it.
 
+        In perspective pictures it is inverse distance along the axis.
+
         ``face``, if given, is written row after row: twice the index in ``quads`` of what is seen, plus one for the
         second triangle of a quad. It takes more time.
         """
         pose, boxes = rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
         if self.threads != 1:  # one thread draws all rows at once, and needs no culling by rows
-            run_ranges(partial(find_block_bounds, quads, pose, self._target, boxes), len(boxes), self.threads)
-        run_ranges(partial(rasterize_blocks, quads, boxes, pose, self._target, face), self.size[0], self.threads)
+            find_bounds = partial(find_block_bounds, quads, pose, self._target, self._view, boxes)
+            run_ranges(find_bounds, len(boxes), self.threads)
+        draw = partial(rasterize_blocks, quads, boxes, pose, self._target, self._view, face)
+        run_ranges(draw, self.size[0], self.threads)
         self._boxes = boxes
         return self._inverse_depth
 
@@ -81,26 +97,6 @@ class Rasterizer:
         out, pose = edge_pixels.inverse_depth.copy(), rows_of(target_from_source)
         rasterize_edge_pixels(quads, self._boxes, pose, self._double_target, edge_pixels, out.reshape(-1))
         return out
-
-
-class PerspectiveRasterizer:
-    """Rasterises into perspective pictures of one size, likewise; edge pixels have no samples."""
-
-    def __init__(self, size: PerspectiveSize, threads: int | None = None) -> None:
-        self.size, self.threads = size, threads
-        self._inverse_depth = np.empty(size, np.float32)
-        self._target = target_of(size, self._inverse_depth)
-        self._view = view_of(size)
-
-    def __call__(
-        self, quads: QuadBlocks, target_from_source: Pose, face: Int32[np.ndarray, " pixels"] | None = None
-    ) -> Float32[np.ndarray, "height width"]:
-        """Inverse distance along the axis; see :meth:`Rasterizer.__call__`."""
-        pose, rows, view = rows_of(target_from_source), np.empty((len(quads.codes), 2), np.int32), self._view
-        run_ranges(partial(find_rows_of_blocks, quads, pose, self._target, view, rows), len(rows), self.threads)
-        draw = partial(rasterize_perspective, quads, rows, pose, self._target, view, face)
-        run_ranges(draw, self.size[0], self.threads)
-        return self._inverse_depth
 
 
 def target_of(size: tuple[int, int], inverse_depth: Float32[np.ndarray, "*size"]) -> Target:

@@ -8,12 +8,11 @@ from typing import ClassVar, Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from omnisyn_cli.geometry.perspective import PerspectiveSize, equivalent_rows
+from omnisyn_cli.geometry.perspective import equivalent_rows
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
-from omnisyn_cli.render.rasterize import PerspectiveRasterizer, Rasterizer
-from omnisyn_cli.render.reprojection import Reprojector
-from omnisyn_cli.render.shade import Shader, make_confidence_map
+from omnisyn_cli.render.rasterize import Rasterizer
+from omnisyn_cli.render.shade import Reprojector, Shader, make_confidence_map
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
@@ -61,10 +60,6 @@ class RendererClass(Protocol):
         ...
 
 
-def _rasterizer(size: tuple[int, int], threads: int | None) -> Rasterizer | PerspectiveRasterizer:
-    return PerspectiveRasterizer(size, threads) if isinstance(size, PerspectiveSize) else Rasterizer(size, threads)
-
-
 class MeshRenderer:
     """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture."""
 
@@ -79,13 +74,13 @@ class MeshRenderer:
         if inputs.path_end is not None:
             self.quads, drawn = simplify(mesh, inputs.path_end, equivalent_rows(size), threads=threads)
         self.triangles = drawn, every  # drawn for a frame, and of the mesh
-        self._rasterizer = _rasterizer(size, threads)
+        self._rasterizer = Rasterizer(size, threads)
         self._reprojector = Reprojector(lambda: self.texture, inputs.inverse_depth, self._shader)
 
     def twin(self, threads: int) -> "MeshRenderer":
         """The same surface with the same texture, and buffers of its own: for another thread."""
         twin, size = copy(self), self._shader.size
-        twin._shader, twin._rasterizer = Shader(size, threads), _rasterizer(size, threads)
+        twin._shader, twin._rasterizer = Shader(size, threads), Rasterizer(size, threads)
         twin._reprojector = Reprojector(lambda: self.texture, self._reprojector.inverse_depth, twin._shader)
         return twin
 
@@ -98,7 +93,7 @@ class MeshRenderer:
             partial(self._shader.shade_rows_into, *surface),
             partial(self._shader.shade_grid, *surface),
             target_from_source,
-            edge_samples=partial(self._edge_samples, target_from_source) if self._samples_edges else None,
+            edge_samples=partial(self._edge_samples, target_from_source) if self._rasterizer.samples_edges else None,
             source_sampler=self.source_sampler(target_from_source),
         )
 
@@ -106,14 +101,8 @@ class MeshRenderer:
         """Looks up what the panorama shows of points of the target."""
         return self._reprojector.sampler(target_from_source)
 
-    @property
-    def _samples_edges(self) -> bool:
-        return isinstance(self._rasterizer, Rasterizer)
-
     def _edge_samples(self, target_from_source: Pose, edge_pixels: EdgePixels) -> EdgeSamples:
         """Samples of the surface that the last call rasterised."""
-        if not isinstance(self._rasterizer, Rasterizer):
-            raise ValueError("expected an equirectangular target, got a perspective one; ask for no samples of edges")
         seen = self._rasterizer.edge_samples(self.quads, target_from_source, edge_pixels)
         colour = self._shader.shade_edges(seen, edge_pixels, self.confidence_map, self.texture, target_from_source)
         return seen, colour

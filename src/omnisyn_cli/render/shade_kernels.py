@@ -78,12 +78,12 @@ class _Scratch(NamedTuple):
 
 
 @fast_kernel()
-def shade_rows(rho, texture, tables, view, image, begin, end):
+def shade_rows(texture, view, rho, tables, image, begin, end):
     """Texture lookup for rows ``begin`` to ``end``; a texel's four channels are a quarter of a vector.
 
-    ``rho`` ``(height, width)``: inverse depth from the target; negative where nothing is seen. ``texture``:
-    :class:`TextureArrays`. ``tables``: :class:`omnisyn_cli.types.DirectionTables` of these rows. ``view``:
-    :class:`SourceView`. ``image`` ``(height, width, 4)``, written: RGB, and alpha times confidence.
+    ``texture``: :class:`TextureArrays`. ``view``: :class:`SourceView`. ``rho`` ``(height, width)``: inverse depth from
+    the target; negative where nothing is seen. ``tables``: :class:`omnisyn_cli.types.DirectionTables` of these rows.
+    ``image`` ``(height, width, 4)``, written: RGB, and alpha times confidence.
     """
     width, flat = rho.shape[1], image.reshape(-1)
     scratch = _new_scratch(texture.layout, texture.weights[1])

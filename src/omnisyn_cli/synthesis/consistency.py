@@ -14,15 +14,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess_pair
-from omnisyn_cli.fusion.photometry import (
-    ExposureCurve,
-    ExposureMatcher,
-    cross_validated_curve,
-    darken_to_match,
-    estimate_curve,
-    rough_exposure_curve,
-)  # fmt: skip
+from omnisyn_cli.fusion.confidence import PairConfidence, assess_pair
+from omnisyn_cli.fusion.exposure_curve import ExposureCurve, cross_validated_curve, estimate_curve
+from omnisyn_cli.fusion.photometry import ExposureMatcher, darken_to_match, rough_exposure_curve
 from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
 from omnisyn_cli.geometry.resize import resize_area, resize_mask
 from omnisyn_cli.geometry.sphere import solid_angles

@@ -200,7 +200,7 @@ def _continued_step(
     np.add.at(step, (row, col), np.clip(difference, -MAX_STEP, MAX_STEP) + 1.0)  # the filler knows no colour below 0
     np.add.at(weight, (row, col), 1.0)
     step /= np.maximum(weight, 1.0)[..., None]
-    HoleFiller(size)(step, np.minimum(weight, 1.0))
+    step = HoleFiller(size)(step, np.minimum(weight, 1.0))
     wanted = np.resize(inside, (-(-len(inside) // MAP_SIZE), MAP_SIZE, 3))  # OpenCV looks up no longer rows
     return look_up(step, *to_map(wanted)).reshape(-1, 3)[: len(inside)] - np.float32(1.0)
 

@@ -7,13 +7,13 @@ when the camera moves, where paint keeps its place. Bands are whole rows and col
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 
 from omnisyn_cli.geometry.pose import distance_between
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.synthesis.nadir_map import GROUND_HEIGHTS, NadirMap, ground_pixels, look_up, morphed
+from omnisyn_cli.synthesis.nadir_map import GROUND_HEIGHTS, Mask, NadirMap, ground_pixels, look_up, morphed
 from omnisyn_cli.types import View
 
 MAX_ROWS = 1024  # rows of a picture that are looked at. Set by hand, as are all constants of this file.
@@ -34,8 +34,6 @@ FLOOR_HEIGHTS = np.concatenate([GROUND_HEIGHTS, np.geomspace(4.0, 12.0, 8)])
 JPEG_BLOCK = 16  # rows before an edge that its noise can reach
 # Share of the rows that a band may have, as skies end at the horizon, and share of a column that has its colour.
 MAX_BAND_SHARE, MIN_COLUMN_SHARE = 0.47, 0.98
-
-Mask = Bool[np.ndarray, "rows cols"]
 
 
 def find_painted(views: tuple[View, View], maps: tuple[NadirMap, NadirMap]) -> tuple[Mask, Mask]:

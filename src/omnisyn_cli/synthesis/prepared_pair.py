@@ -1,24 +1,29 @@
 """What the frames between two neighbouring views are made from: their depth and their surfaces."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, Shaped, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
+from omnisyn_cli.compute.threads import both, limited_threads, run_ranges
+from omnisyn_cli.fusion.blend_kernels import quantization_for
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, low_confidence_regions
 from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.layer_pair import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererClass, RendererInputs
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import Texture, make_texture
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
-from omnisyn_cli.synthesis.fallback import CrossFade, MaskedFade
 from omnisyn_cli.synthesis.ground import continue_ground
-from omnisyn_cli.synthesis.soft_surface import UNCUT, needs_soft_surface, soften_pair
+from omnisyn_cli.synthesis.soft_surface import UNCUT, soft_depths
 from omnisyn_cli.types import DepthEstimate, View
+
+FADE_SHARE = 0.05  # share of the way in which what is masked fades: four frames of ninety. Set by hand.
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,92 @@ class SynthesisOptions:
     confidence: bool = False  # give every frame a map of its confidence
     # draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a pixel aside
     adaptive: bool = False
+
+
+class _Photographs:
+    """Photographs of a pair, turned but not moved, that are shown in parts of frames. Not shared by threads."""
+
+    def __init__(self, poses: Sequence[Pose], size: tuple[int, int], threads: int | None) -> None:
+        self._poses, self._shader, self._threads = poses, Shader(size, threads), threads
+
+    def _turned(self, number: int, texture: Texture, pose: Pose, rows: slice) -> Float32[np.ndarray, "rows width 4"]:
+        """Some rows of a photograph as a camera sees it; of its pose only the orientation matters."""
+        turn = Pose(pose.rotation.T @ self._poses[number].rotation, np.zeros(3))
+        return self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)
+
+    def _change(
+        self, image: Shaped[np.ndarray, "height width 3"], mixed: Callable[[slice, np.ndarray], np.ndarray | None]
+    ) -> None:
+        """Replace rows of a frame, numbers or samples, by what they become as numbers; None leaves them."""
+        quantization = quantization_for(image)
+
+        def band(begin: int, end: int) -> None:
+            for top in range(begin, end, TILE_ROWS):
+                rows = slice(top, min(top + TILE_ROWS, end))
+                if (colours := mixed(rows, image[rows] / quantization.scale)) is not None:
+                    colours = np.clip(colours, 0.0, quantization.max_colour)
+                    image[rows] = colours * quantization.scale + quantization.rounding
+
+        run_ranges(band, len(image), self._threads)
+
+
+class MaskedFade(_Photographs):
+    """What is masked in two photographs, where they show it: seen at the ends of the way and faded in a few frames."""
+
+    def __init__(self, views: Sequence[View], size: tuple[int, int], threads: int | None = None) -> None:
+        super().__init__([view.pose for view in views], size, threads)
+        self._textures = [
+            make_texture(view.image if view.image_uint8 is None else view.image_uint8, ~view.mask)
+            if view.shows_masked and view.mask is not None and not view.mask.all()
+            else None
+            for view in views
+        ]
+
+    def __call__(self, image: Shaped[np.ndarray, "height width 3"], pose: Pose, t: float) -> None:
+        """Show the masked pixels of the photograph at the nearer end, in place, if that is near enough."""
+        nearer, share = int(t > 0.5), 1.0 - min(t, 1.0 - t) / FADE_SHARE
+        texture = self._textures[nearer]
+        if texture is None or share <= 0.0:
+            return
+
+        def mixed(rows: slice, colours: np.ndarray) -> np.ndarray | None:
+            photograph = self._turned(nearer, texture, pose, rows)
+            weight = np.float32(share) * np.clip(photograph[..., 3:], 0.0, 1.0)
+            return (1.0 - weight) * colours + weight * photograph[..., :3] if weight.any() else None
+
+        self._change(image, mixed)
+
+
+class CrossFade(_Photographs):
+    """What is shown where a frame cannot be relied on: both photographs, cross-faded, which is wrong but honest."""
+
+    def __init__(
+        self, images: Sequence[np.ndarray], poses: Sequence[Pose], size: tuple[int, int], threads: int | None = None
+    ) -> None:
+        super().__init__(poses, size, threads)
+        self._textures = [make_texture(image) for image in images]
+
+    def __call__(
+        self, image: Shaped[np.ndarray, "height width 3"], confidence: Float32[np.ndarray, "height width"], pose: Pose,
+        t: float,
+    ) -> None:  # fmt: skip
+        """Replace the doubtful regions of a frame, in place, by its confidence in [0, 1].
+
+        ``t`` is the share of the second photograph; what is masked in them was painted over.
+        """
+        weight = low_confidence_regions(confidence)
+
+        def mixed(rows: slice, colours: np.ndarray) -> np.ndarray | None:
+            here = weight[rows, :, None]
+            if not here.any():
+                return None
+            colours *= 1.0 - here
+            for number, (texture, share) in enumerate(zip(self._textures, (1.0 - t, t), strict=True)):
+                photograph = self._turned(number, texture, pose, rows)
+                colours += np.float32(share) * here * np.maximum(photograph[..., :3], 0.0)
+            return colours
+
+        self._change(image, mixed)
 
 
 @dataclass(frozen=True)
@@ -81,8 +172,9 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     whole = chain.views[first_view], chain.views[second_view]
     with clock("mesh"):
         softened = soft_depths(whole, depths, check) if options.soften else None
-        surfaces = drawn_surfaces(whole, softened or depths, options.cut, is_soft=softened is not None)
-        (first, second), drawn_depths, cut = surfaces
+        (first, second), drawn_depths, cut = drawn_surfaces(
+            whole, softened or depths, options.cut, is_soft=softened is not None
+        )
         options = replace(options, cut=cut)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
@@ -102,26 +194,11 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, softened)
 
 
-class DrawnSurfaces(NamedTuple):
-    """What the surfaces of a pair are made of; the ground is continued below masks."""
-
-    views: tuple[View, View]
-    depths: tuple[DepthEstimate, DepthEstimate]
-    cut: Cut
-
-
-def soft_depths(
-    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
-) -> tuple[DepthEstimate, DepthEstimate] | None:
-    """Depth of soft surfaces, for a pair that cannot be relied on; None for others."""
-    return soften_pair(views, depths, check) if needs_soft_surface(views, depths, check) else None
-
-
 def drawn_surfaces(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, *, is_soft: bool
-) -> DrawnSurfaces:
-    """What surfaces are made of, given their depth; they are cut by ``cut`` unless they are soft."""
-    return DrawnSurfaces(*continue_ground(views, depths), UNCUT if is_soft else cut)
+) -> tuple[tuple[View, View], tuple[DepthEstimate, DepthEstimate], Cut]:
+    """What surfaces are made of: the ground is continued below masks; soft ones are not cut, others by ``cut``."""
+    return *continue_ground(views, depths), UNCUT if is_soft else cut
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
@@ -146,8 +223,8 @@ def usable_image(
     """
     if view.mask is None or view.mask.all():
         return view.image_uint8 if view.image_uint8 is not None and options.renderer.shades_on_demand else view.image
-    image = np.array(view.image, np.float32)
-    HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
+    fill = HoleFiller(view.mask.shape, options.threads)
+    image = fill(np.array(view.image, np.float32), view.mask.astype(np.float32))
     if view.image_uint8 is None or not options.renderer.shades_on_demand:
         return image
     return np.where(view.mask[..., None], view.image_uint8, np.rint(255.0 * image).astype(np.uint8))

@@ -74,13 +74,22 @@ BISECTIONS = 22  # halvings of that range: each leaves half of its logarithm, 10
 MIN_CEILING_DEG, MAX_CEILING_BASELINES, MIN_CEILING_SHARE = 30.0, 10.0, 0.25
 
 Depths = tuple[DepthEstimate, DepthEstimate]
+Reliabilities = list[Float32[np.ndarray, "height width"]]
 
 
-def is_enclosed(views: tuple[View, View], depths: Depths, check: CrossCheck) -> bool:
+def soft_depths(views: tuple[View, View], depths: Depths, check: CrossCheck) -> Depths | None:
+    """Depth of soft surfaces for a pair that scores next to nothing, at two places with a ceiling; None for others."""
+    if check.confidence.score >= MAX_SOFT_SCORE or at_same_position(views[0].pose, views[1].pose):
+        return None
+    known = reliabilities(depths, check)
+    return soften_pair(views, depths, known) if is_enclosed(views, depths, known) else None
+
+
+def is_enclosed(views: tuple[View, View], depths: Depths, reliability: Reliabilities) -> bool:
     """Whether two views stand under a ceiling, so that a smooth surface around them can stand for the place."""
     baseline = distance_between(views[0].pose, views[1].pose)
     shares = []
-    for view, depth, known in zip(views, depths, _reliabilities(depths, check), strict=True):
+    for view, depth, known in zip(views, depths, reliability, strict=True):
         size = depth.inverse_depth.shape
         height = pixel_directions(*size) @ view.pose.rotation.T @ UP
         above = solid_angles(*size) * (height > np.sin(np.radians(MIN_CEILING_DEG)))
@@ -89,15 +98,8 @@ def is_enclosed(views: tuple[View, View], depths: Depths, check: CrossCheck) -> 
     return min(shares) > MIN_CEILING_SHARE
 
 
-def needs_soft_surface(views: tuple[View, View], depths: Depths, check: CrossCheck) -> bool:
-    """Whether a pair scores next to nothing and stands under a ceiling, at two places."""
-    is_doubtful = check.confidence.score < MAX_SOFT_SCORE and not at_same_position(views[0].pose, views[1].pose)
-    return is_doubtful and is_enclosed(views, depths, check)
-
-
-def soften_pair(views: tuple[View, View], depths: Depths, check: CrossCheck) -> Depths:
+def soften_pair(views: tuple[View, View], depths: Depths, reliability: Reliabilities) -> Depths:
     """The depth of both views, at two places, on a common smooth surface where the photographs do not confirm it."""
-    reliability = _reliabilities(depths, check)
     surface = _common_surface(views, depths, reliability)
     first, second = (
         _softened(depth, known, _inverse_depth_of(surface, view, _middle(views)))
@@ -110,12 +112,12 @@ def _middle(views: tuple[View, View]) -> Float[np.ndarray, " 3"]:
     return np.asarray(0.5 * (views[0].pose.position + views[1].pose.position))
 
 
-def _reliabilities(depths: Depths, check: CrossCheck) -> list[Float32[np.ndarray, "height width"]]:
+def reliabilities(depths: Depths, check: CrossCheck) -> Reliabilities:
+    """How far each view's depth is confirmed by the other view, in [0, 1], at the size of the depth."""
     return [_reliability(depth, *layers) for depth, layers in zip(depths, check.crossed, strict=True)]
 
 
 def _reliability(depth: DepthEstimate, photo: Layer, other: Layer) -> Float32[np.ndarray, "height width"]:
-    """How far the other view confirms the depth of a view, 0 to 1, at the size of the depth."""
     windows = compare_windows(photo, other)
     structure = np.clip((windows.likeness - MIN_LIKENESS) / LIKENESS_RANGE, 0.0, 1.0)
     colour = np.clip(1.5 * (1.0 - windows.difference / MAX_COLOUR_DIFFERENCE), 0.0, 1.0)
@@ -135,7 +137,7 @@ class SurfaceSamples(NamedTuple):
 
 
 def _common_surface(
-    views: tuple[View, View], depths: Depths, reliability: list[np.ndarray]
+    views: tuple[View, View], depths: Depths, reliability: Reliabilities
 ) -> Float32[np.ndarray, "rows cols 3"]:
     """A smooth surface around the middle of two views: the plane that is fitted around every direction.
 
@@ -156,7 +158,7 @@ def _common_surface(
     return np.asarray(normals.reshape(*SURFACE_GRID, 3), np.float32)
 
 
-def _surface_samples(views: tuple[View, View], depths: Depths, reliability: list[np.ndarray]) -> SurfaceSamples:
+def _surface_samples(views: tuple[View, View], depths: Depths, reliability: Reliabilities) -> SurfaceSamples:
     """The points that both views see, each by its reliability."""
     middle, baseline = _middle(views), distance_between(views[0].pose, views[1].pose)
     samples = []

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion.photometry import ExposureMatcher, darken_to_match, exposure_curve, rough_exposure_curve
+from omnisyn_cli.fusion import exposure_curve
+from omnisyn_cli.fusion.photometry import ExposureMatcher, darken_to_match, rough_exposure_curve
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer, View
 from photometry_samples import exposed, in_eight_bits, linear

@@ -12,9 +12,9 @@ from jaxtyping import UInt8
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
+from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
+from omnisyn_cli.fusion.photometry import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
@@ -26,7 +26,7 @@ from omnisyn_cli.interpolation.viewer.packing import Blocks, confidence_codes, i
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.images import read_picture
 from omnisyn_cli.io.outputs import real_path
-from omnisyn_cli.pipeline.factory import make_method
+from omnisyn_cli.pipeline.config import make_method
 from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
 from omnisyn_cli.poses.tour import FloorPlan, Hotspot, StartView
 from omnisyn_cli.render.mesh import Mesh

@@ -16,8 +16,8 @@ from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.render import box_kernels as box
 from omnisyn_cli.render import quad_kernels as quad
 from omnisyn_cli.render.draw_kernels import exact_corners, exact_setup, intersect_exactly
-from omnisyn_cli.render.perspective_kernels import perspective_box
 from omnisyn_cli.render.quad_blocks import BLOCK, HOLE_FLAG
+from omnisyn_cli.render.raster_kernels import perspective_box
 from omnisyn_cli.synthesis.device.cuda_device import device_function, kernel
 from omnisyn_cli.types import EDGE_TILE_COLUMNS
 
@@ -57,20 +57,15 @@ class DeviceTarget(NamedTuple):
     mark: int  # the bit of a mark that counts; 0 draws all pixels
 
 
-@device_function(fastmath=True)
-def _clear(number, group):
-    nearest, count = group
-    if number < len(nearest):
-        nearest[number] = UNSEEN_BITS
-    if number == 0:
-        count[0] = 0
-
-
 @kernel(fastmath=True)
 def clear(count, group):
     """Nothing is seen yet, and nothing is listed."""
+    nearest, listed = group
     for number in range(cuda.grid(1), count, cuda.gridsize(1)):
-        _clear(number, group)
+        if number < len(nearest):
+            nearest[number] = UNSEEN_BITS
+        if number == 0:
+            listed[0] = 0
 
 
 @device_function

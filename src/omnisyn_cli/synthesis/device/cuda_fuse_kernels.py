@@ -14,11 +14,10 @@ from omnisyn_cli.fusion.blend_kernels import (
     quantize,
     view_weights,
 )
-from omnisyn_cli.fusion.confidence.frame_confidence import ConfidenceTolerances, pixel_confidence
+from omnisyn_cli.fusion.confidence import ConfidenceTolerances, pixel_confidence
 from omnisyn_cli.fusion.fill import fill_pixel, pull_pixel
-from omnisyn_cli.fusion.supersampling import MIN_CONTRAST_LEVELS
-from omnisyn_cli.fusion.supersampling_kernels import has_contrast, is_other_surface
-from omnisyn_cli.fusion.warp_candidate_kernels import interpolate_down_columns
+from omnisyn_cli.fusion.supersampling import MIN_CONTRAST_LEVELS, has_contrast, is_other_surface
+from omnisyn_cli.fusion.warp_candidates import interpolate_down_columns
 from omnisyn_cli.synthesis.device.cuda_device import device_function, kernel
 from omnisyn_cli.synthesis.device.cuda_shade_kernels import DeviceLayer, add, offset_of, shade, suppressed
 
@@ -200,7 +199,7 @@ def _mark_edges(number, frame):
 
 @kernel(fastmath=True)
 def mark_edges(count, frame):
-    """Mark a pixel that is supersampled, see :func:`omnisyn_cli.fusion.supersampling_kernels.mark_edge_pixels`."""
+    """Mark a pixel that is supersampled, see :func:`omnisyn_cli.fusion.supersampling.mark_edge_pixels`."""
     for number in range(cuda.grid(1), count, cuda.gridsize(1)):
         _mark_edges(number, frame)
 

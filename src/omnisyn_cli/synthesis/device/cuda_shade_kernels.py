@@ -8,8 +8,7 @@ import numpy as np
 
 from omnisyn_cli.compute.trigonometry import atan2_fast
 from omnisyn_cli.fusion.ghost_kernels import interpolate_strength, neighbour_cell_rows
-from omnisyn_cli.fusion.photometry.exposure_kernels import exposed_weight, interpolate_table
-from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB
+from omnisyn_cli.fusion.photometry import CLIPPING_SRGB, exposed_weight, interpolate_table
 from omnisyn_cli.render.shade_kernels import LEVEL_MARGIN, MAX_FULL_RESOLUTION_LEVEL, mip_level
 from omnisyn_cli.synthesis.device.cuda_device import device_function
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
@@ -33,7 +32,7 @@ class DeviceLayer(NamedTuple):
     photograph: Photograph
     pose: tuple[tuple[np.float32, ...], ...]  # rows of a rotation with the shift behind them, target from source
     texels_per_pixel: np.float32
-    table: Any  # of exposure, see :meth:`omnisyn_cli.fusion.photometry.ExposureCurve.table`
+    table: Any  # of exposure, see :meth:`omnisyn_cli.fusion.exposure_curve.ExposureCurve.table`
     loss: np.float32  # of weight where white is darkened; negative where exposure does not change
     inverse_depth: Any  # row after row; negative where nothing is seen
     samples: Any  # inverse depth of the four samples of each edge pixel

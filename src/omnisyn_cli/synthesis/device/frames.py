@@ -21,15 +21,13 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.fusion.blend_kernels import kernel_rule, quantization_for
 from omnisyn_cli.fusion.blend_rule import BlendRule
-from omnisyn_cli.fusion.confidence.frame_confidence import TOLERANCES
+from omnisyn_cli.fusion.confidence import TOLERANCES
+from omnisyn_cli.fusion.exposure_curve import EXPOSURE_TABLE_ENTRIES
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostSuppression
-from omnisyn_cli.fusion.photometry import ExposureMatcher
-from omnisyn_cli.fusion.photometry.exposure_curve import EXPOSURE_TABLE_ENTRIES
-from omnisyn_cli.fusion.photometry.exposure_matcher import clipped_weight_loss
+from omnisyn_cli.fusion.photometry import ExposureMatcher, clipped_weight_loss
 from omnisyn_cli.fusion.residual import ResidualFuser, source_samplers
-from omnisyn_cli.fusion.supersampling import MIN_SUPERSAMPLING_SHARE
-from omnisyn_cli.fusion.supersampling_kernels import FIRST_LAYER_EDGE, SECOND_LAYER_EDGE
+from omnisyn_cli.fusion.supersampling import FIRST_LAYER_EDGE, MIN_SUPERSAMPLING_SHARE, SECOND_LAYER_EDGE
 from omnisyn_cli.fusion.warp_candidates import sampled_weights
 from omnisyn_cli.geometry.perspective import PerspectiveSize, pixels_per_radian
 from omnisyn_cli.geometry.pose import Pose, at_same_position

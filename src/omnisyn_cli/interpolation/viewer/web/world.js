@@ -292,7 +292,7 @@ class Exposure {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, gains.length / 3, 1, 0, gl.RGBA, gl.FLOAT, values);
   }
 
-  // omnisyn_cli.fusion.photometry.exposure_matcher.clipped_weight_loss
+  // omnisyn_cli.fusion.photometry.clipped_weight_loss
   lossOfWhite(t) {
     const stops = Math.min(0, ...[...this.white].map((gain) => (t - this.end) * gain));
     return Math.min(MAX_CLIPPED_WEIGHT_LOSS, 1 - 2 ** (4 * stops));

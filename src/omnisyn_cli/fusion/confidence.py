@@ -1,4 +1,4 @@
-"""Confidence of a pair: how well each photograph predicts the other, without ground truth.
+"""Confidence without ground truth: of the pixels of a frame, and of a pair, whose photographs predict each other.
 
 Correct depth and poses carry a photograph to where the other one was taken, and there it must look like it; colours of
 that one are not used. This error and the difference of both layers half way rank clips as their true WS-PSNR does
@@ -12,13 +12,17 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
+from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.fusion.pixel_classes import classify_pixels
-from omnisyn_cli.geometry.sampling import filter_across_seam
+from omnisyn_cli.geometry.sampling import add_columns, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
-from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourStep, Layer
 
+REGION_ROWS = 32  # rows of the coarse grid of regions: about 6°. Set by hand.
+# Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Set by hand.
+GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
 MIN_PAIR_SCORE = 0.3  # score below which a clip is unreliable: a plain cross-fade is about as close to the truth
 MIN_SCORE_DB, MAX_SCORE_DB = 12.0, 36.0  # decibels that score 0 and 1. Set by hand.
 # Root mean square difference over the channels above which two colours are different ones. Set by hand.
@@ -33,6 +37,77 @@ DOUBLING_DB, MAX_GOOD_DOUBLING = 4.0, 0.1
 WORST_REGION_GRID = (12, 24)
 # Squared error that a pixel counts with which neither layer shows: it is filled with blurred surroundings.
 HOLE_ERROR = 0.05
+
+
+def confidence_step(
+    first_depth: Float32[np.ndarray, "height width"], second_depth: Float32[np.ndarray, "height width"],
+    out: Float32[np.ndarray, "height width"],
+) -> ColourStep:  # fmt: skip
+    """A step that writes the confidence of some rows, in [0, 1], into ``out``; it changes no colours.
+
+    It is 0 where neither layer shows anything; near 1 where both show one colour at one reliable (inverse) depth; 0.6
+    where only one shows something; low where they contradict each other.
+    """
+
+    def judge(first: np.ndarray, second: np.ndarray, top: int) -> None:
+        rows = slice(top, top + len(first))
+        _confidence_rows(first, first_depth[rows], second, second_depth[rows], TOLERANCES, out[rows])
+
+    return judge
+
+
+class ConfidenceTolerances(NamedTuple):
+    """What pixels are judged by, as kernels take it. All set by hand."""
+
+    # confidence of what only one layer shows, however reliable its depth: nothing confirms it
+    one_view_confidence: np.float32 = np.float32(0.6)
+    depth: np.float32 = np.float32(0.1)  # relative difference of inverse depth at which confidence has fallen to 1/e
+    colour: np.float32 = np.float32(0.15)  # root mean square difference of colour at which it has
+
+
+TOLERANCES = ConfidenceTolerances()
+
+
+@inlined(fastmath=True)
+def pixel_confidence(first, first_rho, second, second_rho, tolerances):
+    """Confidence of one pixel, given RGB and weight, and inverse depth, of both layers."""
+    zero, one, a, b = np.float32(0.0), np.float32(1.0), first[3], second[3]
+    depth_confidence = min(one, np.float32(DEPTH_CONFIDENCE_GAIN) * max(a, b))
+    if a > MIN_VISIBLE_WEIGHT and b > MIN_VISIBLE_WEIGHT:
+        rho_a, rho_b = max(first_rho, zero), max(second_rho, zero)
+        gap = (rho_a - rho_b) / (max(rho_a, rho_b) * tolerances.depth + np.float32(1e-9))
+        squared = zero
+        for k in range(3):
+            step = first[k] - second[k]
+            squared += step * step
+        squared = squared / (np.float32(3.0) * tolerances.colour * tolerances.colour)
+        return depth_confidence * math.exp(-gap * gap - squared)
+    if a > MIN_VISIBLE_WEIGHT or b > MIN_VISIBLE_WEIGHT:
+        return depth_confidence * tolerances.one_view_confidence
+    return zero
+
+
+@fast_kernel()
+def _confidence_rows(first, first_rho, second, second_rho, tolerances, out):
+    """Confidence of rows of layers ``(height, width, 4)``, RGB and weight, and their inverse depths, into ``out``."""
+    for row in range(out.shape[0]):
+        for col in range(out.shape[1]):
+            out[row, col] = pixel_confidence(
+                first[row, col], first_rho[row, col], second[row, col], second_rho[row, col], tolerances
+            )
+
+
+def low_confidence_regions(confidence: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
+    """Smooth weights in [0, 1]: 1 in regions of low confidence, which may be replaced. Wraps at the seam."""
+    height, width = confidence.shape
+    rows = min(REGION_ROWS, height)
+    coarse = cv2.resize(confidence, (2 * rows, rows), interpolation=cv2.INTER_AREA)
+    wrapped = add_columns(coarse, 4)
+    mean = cv2.GaussianBlur(wrapped, (5, 5), 1.0)
+    weight = np.clip((KEEP_CONFIDENCE - mean) / (KEEP_CONFIDENCE - GIVE_UP_CONFIDENCE), 0.0, 1.0).astype(np.float32)
+    margin = 4 * width // (2 * rows)
+    whole = cv2.resize(weight, (width + 2 * margin, height), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(whole[:, margin : margin + width])
 
 
 @dataclass(frozen=True)
