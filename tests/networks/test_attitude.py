@@ -13,16 +13,13 @@ from omnisyn_cli.runtime.session import open_session, run_network
 
 def published(encoder):
     """Twice an encoder's weights, by the names of the package that has the classifier."""
-    names = {"expand": "_expand_conv", "depthwise": "_depthwise_conv", "project": "_project_conv"}
-    names |= {"expand_norm": "_bn0", "depthwise_norm": "_bn1", "project_norm": "_bn2"}
+    names = {"expand": "_expand_conv", "depthwise": "_depthwise_conv", "project": "_project_conv", "stem": "_conv_stem"}
+    names |= {"expand_norm": "_bn0", "depthwise_norm": "_bn1", "project_norm": "_bn2", "stem_norm": "_bn0"}
     weights = {"_fc.weight": torch.zeros(1), "_bn0.num_batches_tracked": torch.zeros(())}
     for name, value in encoder.state_dict().items():
-        path = name.split(".")
-        leaf = {"mean": "running_mean", "variance": "running_var"}.get(path[-1], path[-1])
-        if path[0] == "blocks":
-            weights[f"_blocks.{path[1]}.{names[path[2]]}.{leaf}"] = 2.0 * value
-        else:
-            weights[f"{ {'stem': '_conv_stem', 'stem_norm': '_bn0'}[path[0]] }.{leaf}"] = 2.0 * value
+        *path, leaf = name.split(".")
+        where = f"_blocks.{path[1]}.{names[path[2]]}" if path[0] == "blocks" else names[path[0]]
+        weights[f"{where}.{ {'mean': 'running_mean', 'variance': 'running_var'}.get(leaf, leaf) }"] = 2.0 * value
     return weights
 
 
