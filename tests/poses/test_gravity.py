@@ -53,13 +53,10 @@ def test_crooked_edges_are_not_certain(crooked, is_certain, seed):
     assert gravity.vertical.is_certain is is_certain
 
 
-@pytest.mark.parametrize(
-    ("degrees", "axis", "attitude"),
-    [
-        (0, (0, 0, 1), "upright"), (180, (0, 0, 1), "upside down"), (180, (1, 0, 0), "upside down"),
-        (90, (0, 0, 1), "rolled by 90°"), (-90, (0, 0, 1), "rolled by 90°"), (90, (1, 0, 0), "rolled by 90°"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("degrees", "axis", "attitude"), [
+    (0, (0, 0, 1), "upright"), (180, (0, 0, 1), "upside down"), (180, (1, 0, 0), "upside down"),
+    (90, (0, 0, 1), "rolled by 90°"), (-90, (0, 0, 1), "rolled by 90°"), (90, (1, 0, 0), "rolled by 90°"),
+])  # fmt: skip
 def test_pictures_that_are_not_upright_are_named_and_no_upright_one(pictures, degrees, axis, attitude):
     assert {gravity_of_picture(held(picture, degrees, axis)[0]).attitude for picture in pictures} == {attitude}
 

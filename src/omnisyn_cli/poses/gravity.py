@@ -136,7 +136,6 @@ def _fitted(up: np.ndarray, normal: np.ndarray, length: np.ndarray) -> Float[np.
 
 # Axes of the camera near which the vertical is looked for: its own, to the right and ahead.
 AXES = (UP, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
-NETWORK_SIZE = (128, 256)  # rows and columns that the network sees
 MIN_LOG_ODDS = 1.0  # against upright, from which on a picture is called otherwise
 # Standard deviation up to which a zenith is certain: 2.5 of them are 1°.
 MAX_STD = math.radians(0.4)
@@ -183,9 +182,10 @@ def gravity_of(small: Picture, lines: Lines, usable: Usable = None) -> Gravity:
 
 def _log_odds(small: Picture, up: np.ndarray) -> float:
     """Of a picture with this zenith; only differences between zeniths mean something."""
-    image = rotated_image(small, rotation_taking(up, UP), np.eye(3), NETWORK_SIZE)
+    network = _network()
+    image = rotated_image(small, rotation_taking(up, UP), np.eye(3), tuple(network.get_inputs()[0].shape[2:]))
     pixels = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32)
-    return float(run_network(_network(), {"image": pixels}, [(1, 1, 1, 1)])[0].item())
+    return float(run_network(network, {"image": pixels}, [(1, 1, 1, 1)])[0].item())
 
 
 @lru_cache(maxsize=1)

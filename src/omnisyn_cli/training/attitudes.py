@@ -48,9 +48,9 @@ def train_attitude(
     pictures = [picture for seed in seeds if (picture := _picture(seed, config)) is not None]
     features = torch.stack([_features(network, picture) for picture in pictures])
     is_held_out = torch.arange(len(features)) % HELD_OUT == 0
-    network.weights.data = _fitted(features[~is_held_out])
+    network.weights.data = fitted_weights(features[~is_held_out])
     right = ((features[is_held_out] @ network.weights).argmax(dim=1) == 0).float().mean()
-    network.weights.data = _fitted(features)
+    network.weights.data = fitted_weights(features)
     size = network.config.size
     made = publish_parts(
         [("attitude", "attitude", network, size, noise(network, size))], folder,
@@ -82,8 +82,8 @@ def _features(network: AttitudeNetwork, picture: Float32[np.ndarray, "height wid
         return network.features(torch.from_numpy(np.stack(turned).transpose(0, 3, 1, 2).astype(np.float32)))
 
 
-def _fitted(features: Tensor) -> Tensor:
-    """Weights that make the first way the likeliest."""
+def fitted_weights(features: Tensor) -> Tensor:
+    """Weights ``(features, 1)`` of features ``(scenes, ways, features)`` that make the first way the likeliest."""
     deviation = features.flatten(0, 1).std(dim=0) + 1e-3
     scaled, weights = features / deviation, torch.zeros(features.shape[-1], requires_grad=True)
     optimiser = torch.optim.LBFGS([weights], max_iter=200, line_search_fn="strong_wolfe")
