@@ -1,5 +1,7 @@
 """Pools, the pairs that are drawn from them, and the pictures that tell how training goes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -76,6 +78,12 @@ def test_a_scene_survives_the_disk(tmp_path):
     np.testing.assert_array_equal(loaded.inverse_depth, scene.inverse_depth)
     assert loaded.inverse_depth.dtype == np.float32
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["0.npz"]
+
+
+def test_arrays_that_samples_no_longer_have_are_passed_over(tmp_path):
+    walk, more = ball_scene(), dict.fromkeys(("pairs", "matching", "images_left", "images_right"), np.zeros(1))
+    save_samples(tmp_path / "0.npz", [SimpleNamespace(**vars(walk), **more)])
+    np.testing.assert_array_equal(load_walk(tmp_path / "0.npz").images, walk.images)
 
 
 def test_an_empty_pool_is_an_error_that_says_what_to_do(tmp_path):

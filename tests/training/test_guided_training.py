@@ -12,16 +12,9 @@ from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction, feature_directions
-from omnisyn_cli.training.data import Augmentation, at_block_centres, list_scene_files, load_walk, save_samples
+from omnisyn_cli.training.data import Augmentation, list_scene_files, load_walk, save_samples
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores, with_cap
-from omnisyn_cli.training.walks import (
-    WalkConfig,
-    draw_pose_error,
-    facing_the_other,
-    make_walk,
-    matched_walk,
-    reduced_matching,
-)
+from omnisyn_cli.training.walks import WalkConfig, draw_pose_error, facing_the_other, make_walk
 
 
 def warped(batch, factor):
@@ -56,7 +49,7 @@ def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(
     for name, value in vars(one).items():
         assert torch.equal(value, getattr(same, name)), name
     assert one.first.shape == (2, 3, 32, 64)
-    assert one.guidance.shape == (2, 6, 8, 16)
+    assert torch.equal(one.guidance, torch.zeros(2, 6, 8, 16))
     with pytest.raises(InputError, match="multiple of 48"):
         draw_guided(pool, np.random.default_rng(0), 1, (48, 96), 2.0)
 
@@ -90,8 +83,7 @@ def prediction(sqrt_inv_depth, log_scale=-3.0):
 
 def batch_of(sqrt_inv_depth, ratio=0.4, is_mesh=True):
     empty, count = torch.zeros(len(sqrt_inv_depth), 6, 1, 1), len(sqrt_inv_depth)
-    shown = (empty, empty, empty, empty, empty[:, :1])
-    return GuidedBatch(*shown, sqrt_inv_depth, torch.full((count,), ratio), torch.tensor([is_mesh]))
+    return GuidedBatch(*[empty] * 4, sqrt_inv_depth, torch.full((count,), ratio), torch.tensor([is_mesh]))
 
 
 def test_the_truth_costs_nothing_but_its_doubt():
@@ -101,17 +93,6 @@ def test_the_truth_costs_nothing_but_its_doubt():
     assert float(guided_loss(prediction(sqrt_inv_depth + 0.1), batch_of(sqrt_inv_depth))) > 0.1
     below_zero, sky = torch.full((1, 1, 32, 64), -0.2), torch.zeros(1, 1, 32, 64)
     assert float(guided_loss(prediction(below_zero), batch_of(sky))) == pytest.approx(doubt, abs=1e-6)
-
-
-def test_errors_count_twice_where_matching_left_depth_open():
-    sqrt_inv_depth = torch.full((1, 1, 32, 64), 0.5)
-    guess = prediction(torch.where(torch.arange(64) < 32, sqrt_inv_depth + 0.1, sqrt_inv_depth))
-    unmatched = (torch.arange(16) < 8).float().expand(1, 1, 8, 16)
-    plain = batch_of(sqrt_inv_depth)
-    losses = [
-        float(guided_loss(guess, replace(plain, unmatched=each))) for each in (unmatched, 0 * unmatched, 1 - unmatched)
-    ]
-    assert losses[0] > losses[1] > losses[2]
 
 
 def test_caps_are_at_the_nadir_of_both_pictures_of_a_quarter_of_the_pairs():
@@ -159,7 +140,7 @@ def test_figures_belong_to_the_bin_of_the_pair():
     assert scores["delta_25"] == 1.0  # 1.1² < 1.25
     assert scores["delta_5"] == 0.0
     assert scores["error_wide"] == scores["error"]
-    assert all(math.isnan(scores[f"error_{group}"]) for group in ("narrow", "medium", "mesh", "guided"))
+    assert all(math.isnan(scores[f"error_{group}"]) for group in ("narrow", "medium", "mesh"))
 
 
 def test_a_walk_of_a_procedural_scene_reads_back_and_is_the_same_again(tmp_path):
@@ -180,44 +161,3 @@ def test_kinds_and_meshes_are_checked_before_anything_is_made():
         WalkConfig(kinds=("castle",)).check()
     with pytest.raises(InputError, match="--meshes"):
         WalkConfig(kinds=("mesh",)).check()
-
-
-def test_matching_is_mostly_right_where_it_is_consistent_in_either_direction():
-    walk = matched_walk(ball_walk(0, size=(128, 256)), np.random.default_rng(0), is_exact=True)
-    assert sorted(map(tuple, walk.pairs.tolist())) == sorted((i, j) for i in range(3) for j in range(3) if i != j)
-    for (first, second), matching in zip(walk.pairs, walk.matching.astype(np.float32), strict=True):
-        motion = walk.positions[second] - walk.positions[first]
-        baseline = np.linalg.norm(motion)
-        truth, _ = facing_the_other(walk.inverse_depth[first][None], motion / baseline)
-        root = np.sqrt(at_block_centres(truth[0] * baseline, matching.shape[1:]))
-        is_right = np.abs(matching[0] - root) < 0.06 * root
-        assert is_right[matching[1] == 1.0].mean() > 0.8
-        assert (matching[1] == 1.0).mean() > 0.4
-
-
-def test_the_best_match_of_a_cell_is_that_of_what_is_consistent_in_it():
-    matching = np.zeros((4, 2, 4), np.float32)
-    matching[0] = [[1.0, 3.0, 1.0, 3.0], [1.0, 3.0, 1.0, 3.0]]
-    matching[1, 0, 0] = 1.0
-    np.testing.assert_allclose(reduced_matching(matching, 2)[:2], [[[1.0, 2.0]], [[0.25, 0.0]]])
-
-
-def test_pairs_are_shown_with_guidance_as_often_as_asked_for(tmp_path):
-    for seed in range(2):
-        walk = matched_walk(ball_walk(seed), np.random.default_rng(seed), is_exact=False)
-        save_samples(tmp_path / f"{seed}.npz", [walk])
-    pool = list_scene_files(tmp_path)
-    batch = draw_guided(pool, np.random.default_rng(0), 40, (32, 64), 2.0, Augmentation(), 0.5)
-    is_guided = batch.guidance.flatten(1).any(dim=1)
-    assert 10 <= int(is_guided.sum()) <= 30
-    assert (batch.guidance[is_guided][:, 5] == 1.0).all()
-    assert ((batch.unmatched >= 0) & (batch.unmatched <= 1)).all()
-
-
-def test_guidance_is_turned_with_the_picture(tmp_path):
-    """Where matching is consistent it has the depth that is taught, however the camera is held."""
-    save_samples(tmp_path / "0.npz", [matched_walk(ball_walk(0, (128, 256)), np.random.default_rng(0), is_exact=True)])
-    batch = draw_guided(list_scene_files(tmp_path), np.random.default_rng(0), 12, (128, 256), 2.0, Augmentation(), 1.0)
-    taught = functional.avg_pool2d(batch.sqrt_inv_depth, 4)
-    is_consistent = batch.guidance[:, 1:2] == 1.0
-    assert float(((batch.guidance[:, :1] / taught)[is_consistent] - 1.0).abs().median()) < 0.02

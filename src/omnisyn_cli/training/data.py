@@ -6,7 +6,7 @@ batch depends on the seed, the step and the pool alone, so a run can stop and go
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 from zipfile import BadZipFile
@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int8, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.grouping import median_depth
@@ -35,17 +35,12 @@ MAX_SURFACE_STEP = 0.1  # Relative difference of inverse depth between neighbour
 
 @dataclass(frozen=True)
 class Walk:
-    """Upright panoramas of one scene and heading along a line, any two a stereo pair; floats in half precision.
-
-    Some pairs were matched, both ways round, at a quarter of the size, see :mod:`omnisyn_cli.training.walks`.
-    """
+    """Upright panoramas of one scene and heading along a line, any two a stereo pair; floats in half precision."""
 
     images: UInt8[np.ndarray, "views height width 3"]
     inverse_depth: Float[np.ndarray, "views height width"]  # 1/metre, 0 = nothing there, NaN = not known
     positions: Float32[np.ndarray, "views 3"]  # metres, y up, −z ahead, in the order of the line
     is_mesh: bool = False
-    pairs: Int8[np.ndarray, "pairs 2"] = field(default_factory=lambda: np.zeros((0, 2), np.int8))
-    matching: Float[np.ndarray, "pairs 4 rows cols"] = field(default_factory=lambda: np.zeros((0, 4, 1, 2), np.float16))
 
     def baseline_ratios(self) -> Float[np.ndarray, "views views"]:
         """Distance of any two views over the median depth of the first one."""
@@ -80,7 +75,7 @@ def load_samples(
     """All samples of a file, or that at ``which``, counted on from the first; half precision becomes ``dtype``."""
     names = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
     with np.load(path) as file:
-        count = len(file.files) // len(names)
+        count = [array.rpartition("_")[0] for array in file.files].count(names[0])
         arrays = [
             [file[f"{name}_{k}"] for name in names] for k in (range(count) if which is None else (which % count,))
         ]

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
-from torch.nn import functional
 
 from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
@@ -22,7 +21,7 @@ from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 from omnisyn_cli.training.losses import polar_weights, signed_error
 from omnisyn_cli.training.pairs import turned_table
-from omnisyn_cli.training.walks import MATCHING_CHANNELS, draw_pose_error, facing_the_other, reduced_matching
+from omnisyn_cli.training.walks import draw_pose_error, facing_the_other
 
 MAX_BASELINE_RATIO = 2.5  # Baselines over median depth above this are not drawn
 MIN_BASELINE_RATIO = 0.03  # Baselines over median depth below this are not drawn where there are others
@@ -35,7 +34,6 @@ COARSE_WEIGHT, GRADIENT_WEIGHT, SCALE_WEIGHT = 0.35, 0.5, 0.02
 # Errors count more where √(inverse depth × baseline), s, is small: the weight is 1 + weight / (floor + s).
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
 GRADIENT_SCALES = 4  # Gradients are compared at strides 1, 2, 4, …
-UNMATCHED_WEIGHT = 1.0  # Errors count more by this where matching found nothing consistent
 MIN_JUDGED = 0.03  # √(inverse depth × baseline) below which nothing is judged by its ratio
 
 
@@ -46,8 +44,7 @@ class GuidedBatch:
     first: Float[Array, "*batch 3 height width"]  # colours in [0, 1]
     second: Float[Array, "*batch 3 height width"]
     towards: Float[Array, "*batch 3 1 1"]  # unit vector to the other camera
-    guidance: Float[Array, "*batch 6 rows cols"]  # a quarter of the size, see GUIDANCE_CHANNELS
-    unmatched: Float[Array, "*batch 1 rows cols"]  # share that matching left open; 0 where nothing was matched
+    guidance: Float[Array, "*batch 6 rows cols"]  # zeros, a quarter of the size: in use there is none either
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline); NaN where it is not known
     ratio: Float[Array, "*batch"]  # baseline over median depth
     is_mesh: Bool[Array, "*batch"]  # whether the scene is a mesh
@@ -55,67 +52,48 @@ class GuidedBatch:
 
 def draw_guided(
     pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], max_sqrt_inv_depth: float,
-    augmentation: Augmentation | None = None, guided: float = 0.0,
+    augmentation: Augmentation | None = None,
 ) -> GuidedBatch:  # fmt: skip
-    """Random pairs of random walks, a share ``guided`` of them with what matching says.
+    """Random pairs of random walks, with targets clipped; augmentation None varies nothing.
 
-    ``size`` is a whole fraction of the pool's, else InputError. Targets are clipped; augmentation None varies nothing.
+    InputError: ``size`` is no whole fraction of the pool's.
     """
     walks = (data.draw_walk(pool, rng, size[0]) for _ in range(pairs))
-    return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation, guided) for walk in walks])
+    return data.stacked([_pair(walk, rng, size, max_sqrt_inv_depth, augmentation) for walk in walks])
 
 
 def _pair(
-    walk: Walk, rng: np.random.Generator, size: tuple[int, int], most: float, augmentation: Augmentation | None,
-    guided: float,
-) -> GuidedBatch:  # fmt: skip
-    is_guided = len(walk.pairs) > 0 and rng.random() < guided
-    first, second, ratio = _choose(walk, rng, is_guided)
+    walk: Walk, rng: np.random.Generator, size: tuple[int, int], most: float, augmentation: Augmentation | None
+) -> GuidedBatch:
+    first, second, ratio = choose_views(walk, rng)
     images, inverse_depth = walk.images[[first, second]], walk.inverse_depth[[first]]
     motion = walk.positions[second].astype(np.float64) - walk.positions[first]
     baseline = float(np.linalg.norm(motion))
     towards = motion / baseline
-    matching = _stored_matching(walk, first, second)
     (inverse_depth,), _ = facing_the_other(inverse_depth, towards)
     images, towards = facing_the_other(images, towards)
     if rng.random() < 0.5:
-        images, inverse_depth, matching = images[:, :, ::-1], inverse_depth[:, ::-1], matching[..., ::-1]
-        towards = towards * [-1.0, 1.0, 1.0]
+        images, inverse_depth, towards = images[:, :, ::-1], inverse_depth[:, ::-1], towards * [-1.0, 1.0, 1.0]
     if augmentation is not None:
-        images, inverse_depth, matching, towards = _held_by_hand(images, inverse_depth, matching, towards, rng)
+        images, inverse_depth, towards = _held_by_hand(images, inverse_depth, towards, rng)
     colours = np.stack(
         [cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA) for image in images]
     ).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
         colours = with_cap(data.vary_colours(colours, rng, augmentation), rng)
-    matching = reduced_matching(matching, matching.shape[1] * STRIDE // size[0])
-    unmatched = 1.0 - np.minimum(matching[1] + matching[2], 1.0)
-    guidance = np.zeros((GUIDANCE_CHANNELS, *matching.shape[1:]), np.float32)
-    if is_guided:
-        guidance[:] = [*matching, matching[0] * matching[1], np.ones(matching.shape[1:])]
     sqrt_inv_depth = np.sqrt(data.at_block_centres(inverse_depth * np.float32(baseline), size)).clip(max=most)
     return GuidedBatch(
         first=colours[0].transpose(2, 0, 1), second=colours[1].transpose(2, 0, 1),
-        towards=towards.astype(np.float32)[:, None, None], guidance=guidance,
-        unmatched=unmatched[None] * np.float32(bool(matching.any())),
+        towards=towards.astype(np.float32)[:, None, None],
+        guidance=np.zeros((GUIDANCE_CHANNELS, size[0] // STRIDE, size[1] // STRIDE), np.float32),
         sqrt_inv_depth=sqrt_inv_depth.astype(np.float32)[None], ratio=np.float32(ratio), is_mesh=np.bool_(walk.is_mesh),
     )  # fmt: skip
 
 
-def _stored_matching(walk: Walk, first: int, second: int) -> Float32[np.ndarray, "4 rows cols"]:
-    """What matching says of a pair, the other camera ahead; zeros if it was not matched."""
-    found = np.flatnonzero((walk.pairs == (first, second)).all(axis=1))
-    if len(found):
-        return np.asarray(walk.matching[found[0]], np.float32)
-    height, width = walk.images.shape[1:3]
-    return np.zeros((MATCHING_CHANNELS, height // STRIDE, width // STRIDE), np.float32)
-
-
-def _choose(walk: Walk, rng: np.random.Generator, is_guided: bool) -> tuple[int, int, float]:
+def choose_views(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
     """Two views, and their baseline over the median depth of the first; all bins that there are equally often."""
-    ratios = walk.baseline_ratios()
-    pairs = walk.pairs.tolist() if is_guided else np.argwhere(~np.eye(len(ratios), dtype=bool)).tolist()
-    found = [(first, second, float(ratios[first, second])) for first, second in pairs]
+    ratios = np.ndenumerate(walk.baseline_ratios())
+    found = [(first, second, float(ratio)) for (first, second), ratio in ratios if first != second]
     in_range = [pair for pair in found if MIN_BASELINE_RATIO <= pair[2] <= MAX_BASELINE_RATIO] or found
     bins = {name: [pair for pair in in_range if baseline_bin(pair[2]) == name] for name in BASELINE_BINS}
     filled = [pairs for pairs in bins.values() if pairs]
@@ -135,8 +113,8 @@ def with_cap(
 
 
 def _held_by_hand(
-    images: np.ndarray, inverse_depth: np.ndarray, matching: np.ndarray, towards: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    images: np.ndarray, inverse_depth: np.ndarray, towards: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cameras not quite upright, and poses not quite right."""
     is_tilted = rng.random() < TILT_SHARE
     tilt = rng.normal(0.0, TILT, 3) * [1.0, 0.0, 1.0] * is_tilted
@@ -146,21 +124,17 @@ def _held_by_hand(
     if is_tilted:
         first = turned_table(first.shape[:2], held).bilinear(np.ascontiguousarray(first))
         inverse_depth = turned_table(inverse_depth.shape, held).nearest(np.ascontiguousarray(inverse_depth))
-        table = turned_table(matching.shape[1:], held)
-        matching = np.stack([table.nearest(np.ascontiguousarray(each)) for each in matching])
     if is_tilted or wrong.any():
         turn = held @ error
         second = turned_table(second.shape[:2], turn).bilinear(np.ascontiguousarray(second))
     noisy_direction = held.T @ towards + wrong
-    return np.stack([first, second]), inverse_depth, matching, noisy_direction / np.linalg.norm(noisy_direction)
+    return np.stack([first, second]), inverse_depth, noisy_direction / np.linalg.norm(noisy_direction)
 
 
 def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor:
     """By solid angle: L1 at all scales and of gradients, log-loss of the Laplace scale by errors it cannot change."""
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth).float()
-    unmatched = functional.interpolate(batch.unmatched, size=target.shape[-2:], mode="nearest")
     weight = known * polar_weights(target) * (1.0 + RELATIVE_WEIGHT / (RELATIVE_FLOOR + target))
-    weight = weight * (1.0 + UNMATCHED_WEIGHT * unmatched)
     error = signed_error(prediction.estimate, target)
     loss = _weighted_mean(error.abs(), weight) + GRADIENT_WEIGHT * _gradient_error(error, known)
     for coarse in prediction.coarse:
@@ -195,8 +169,8 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     """Figures of one pair, by solid angle; NaN for the bins that it is not of.
 
     Mean absolute ``error`` of √(inverse depth × baseline); shares within a factor of 1.25 (``delta_25``) and 1.05; the
-    same by relative baseline (``error_wide``, …), of meshes and with guidance (``error_mesh``, ``error_guided``, …);
-    ``brier``, the mean of (confidence − (within a factor of 1.1))².
+    same by relative baseline (``error_wide``, …) and of meshes (``error_mesh``, …); ``brier``, the mean of
+    (confidence − (within a factor of 1.1))².
     """
     target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth)
     area = polar_weights(target) * known
@@ -214,8 +188,7 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     }
     scores = dict(figures)
     own = {baseline_bin(float(batch.ratio[0]))} | ({"mesh"} if bool(batch.is_mesh[0]) else set())
-    own |= {"guided"} if bool(batch.guidance.any()) else set()
-    for group in (*BASELINE_BINS, "mesh", "guided"):
+    for group in (*BASELINE_BINS, "mesh"):
         scores |= {f"{name}_{group}": value if group in own else math.nan for name, value in figures.items()}
     right = (ratio < 1.1).float()
     scores["brier"] = float(_weighted_mean((prediction.confidence() - right).square(), judged))

@@ -47,7 +47,6 @@ class Stage:
     steps: int  # of this stage
     rate: float  # learning rate at its beginning
     final_rate: float  # at its end; between both along a cosine
-    guided: float = 0.0  # share of the pairs that are shown with what matching would say
 
 
 @dataclass(frozen=True)
@@ -155,8 +154,7 @@ class RecipeTrainer(Trainer):
         pool, judged = (str(self.folder / name) for name in (SCENE_FOLDER, VALIDATION_FOLDER))
         shared = ("warmup_steps", "ema", "seed", "validate_every", "save_every", "validation_pairs")
         values: dict[str, Any] = {name: getattr(recipe, name) for name in shared}
-        values |= {name: getattr(stage, name) for name in ("batch", "rate", "guided")}
-        return TrainConfig(pool, judged, (stage.height, 2 * stage.height), **values)
+        return TrainConfig(pool, judged, (stage.height, 2 * stage.height), stage.batch, stage.rate, **values)
 
     def rate(self) -> float:
         """Learning rate of the next step."""

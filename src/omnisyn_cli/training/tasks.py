@@ -47,7 +47,6 @@ class TrainConfig:
     validate_every: int = 250  # in steps
     save_every: int = 50
     validation_pairs: int = 32  # how many pairs are scored
-    guided: float = 0.0  # share of the pairs that a depth network is shown with what matching would say
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ TASKS: Mapping[str, Task] = {
     "guided": Task(
         GuidedDepthConfig, guided_depth.GUIDED_DEPTH_VARIANTS, guided_depth.GuidedDepthNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_guided(
-            pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
+            pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied
         ),
         inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
         loss=guided_loss, scores=guided_scores, role="guided-depth",

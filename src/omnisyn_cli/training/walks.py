@@ -1,18 +1,17 @@
 """Making walks: upright panoramas along a line with exact depth, of procedural scenes and of meshes.
 
-Equal seeds, textures and meshes make equal files, see :class:`omnisyn_cli.training.data.Walk`. Some pairs are matched
-once, when their walk is made, at half of its size: as photographs would be, with other colours, noise and small errors
-of the pose, for the guidance of the guided depth network, which so learns from the mistakes that matching makes.
+Equal seeds, textures and meshes make equal files, see :class:`omnisyn_cli.training.data.Walk`. Views of a pair
+are turned to face each other, and some poses are made a bit wrong.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float, Shaped
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
@@ -21,11 +20,8 @@ from omnisyn_cli.scenes import GENERATORS, render_panorama
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster, find_walk
 from omnisyn_cli.scenes.mesh.render import MeshScene, lit_scene, render_mesh
 from omnisyn_cli.scenes.mesh.texturing import varied_mesh
-from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.stereo.stereo_features import StereoFeatures, sqrt_inv_depth
-from omnisyn_cli.training.data import Augmentation, Walk, save_samples, vary_colours
+from omnisyn_cli.training.data import Walk, save_samples
 from omnisyn_cli.training.scene_makers import PATH_STOPS, SceneConfig, photographs, scene_path, walk_of
-from omnisyn_cli.types import View
 
 MESH = "mesh"  # Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`
 ATTEMPTS = 12  # Seeds that are tried for a walk before the kind is given up
@@ -96,30 +92,18 @@ def make_walk(seed: int, config: WalkConfig) -> Walk:
     for attempt in range(ATTEMPTS):
         walk = make(kind, seed, attempt, config)
         if walk is not None:
-            return matched_walk(walk, np.random.default_rng([23, seed]), is_exact=config.is_held_out)
+            return walk
     raise InputError(f"expected room for a walk in {kind} scenes near seed {seed}, found none in {ATTEMPTS} attempts")
 
 
 def make_walk_file(folder: Path, seed: int, config: WalkConfig) -> Path | None:
-    """Render the procedural walk of a seed into a pool, unmatched; None if the scene has no room for one."""
+    """Render the procedural walk of a seed into a pool; None if the scene has no room for one."""
     walk = _procedural_walk(config.kinds[seed % len(config.kinds)], seed, 0, config)
     if walk is None:
         return None
     file = scene_path(folder, seed)
     save_samples(file, [walk])
     return file
-
-
-def matched_walk(walk: Walk, rng: np.random.Generator, *, is_exact: bool) -> Walk:
-    """With what matching says of some pairs, which ``rng`` chooses; exact: with colours and poses as they are."""
-    pairs, found = list[tuple[int, int]](), []
-    for first, second in views_to_match(walk.baseline_ratios(), rng):
-        motion = walk.positions[second].astype(np.float64) - walk.positions[first]
-        found += list(match_views(walk.images[[first, second]], motion, None if is_exact else rng))
-        pairs += [(first, second), (second, first)]
-    if not pairs:
-        return walk
-    return replace(walk, pairs=np.array(pairs, np.int8), matching=np.stack(found).astype(np.float16))
 
 
 def _procedural_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk | None:
@@ -175,23 +159,8 @@ def _walk(
     return walk_of(images, [1.0 / np.maximum(depth, 1e-3) for depth in depths], placed, is_mesh=is_mesh)
 
 
-# √(inverse depth × baseline) of the best match, share that is left-right consistent, share that is sky, and the root of
-# the filled map.
-MATCHING_CHANNELS = 4
-MATCHED_PAIRS = 3  # Of a walk: its ends, and two others
-MATCHED_RATIOS = (0.02, 2.6)  # Baseline over median depth of pairs that are matched
 # Share of the pairs with pose errors, and the standard deviations of the rotation and of the direction, radians.
 POSE_ERROR_SHARE, TURN_ERROR, DIRECTION_ERROR = 0.4, 0.003, 0.008
-CELL = 2  # Rows of matching that make one of the guidance
-
-
-def views_to_match(ratios: Float[np.ndarray, "views views"], rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Pairs of views, the smaller index first, by ratios of baseline to the median depth of the first of two."""
-    least, most = MATCHED_RATIOS
-    is_usable = (ratios >= least) & (ratios <= most)
-    rows, cols = np.nonzero(np.triu(is_usable | is_usable.T, 1))
-    found = sorted(zip(rows.tolist(), cols.tolist(), strict=True), key=lambda pair: -ratios[pair])
-    return found[:1] + [found[1:][k] for k in rng.permutation(len(found[1:]))[: MATCHED_PAIRS - 1]]
 
 
 def draw_pose_error(rng: np.random.Generator) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
@@ -199,47 +168,6 @@ def draw_pose_error(rng: np.random.Generator) -> tuple[Float[np.ndarray, "3 3"],
     if rng.random() >= POSE_ERROR_SHARE:
         return np.eye(3), np.zeros(3)
     return rotation_from_rotation_vector(rng.normal(0.0, TURN_ERROR, 3)), rng.normal(0.0, DIRECTION_ERROR, 3)
-
-
-def match_views(
-    images: Shaped[np.ndarray, "2 height width 3"], motion: Float[np.ndarray, " 3"], rng: np.random.Generator | None
-) -> Float32[np.ndarray, "2 4 rows cols"]:
-    """What matching says of both views of a pair, each turned so that the other one is ahead; a quarter of the size.
-
-    Images are upright, eight bits, with one heading; ``motion`` to the second is in metres; no ``rng``: all is exact.
-    """
-    baseline = float(np.linalg.norm(motion))
-    turned, ahead = facing_the_other(images, motion / baseline)
-    colours, rotation = turned.astype(np.float32) / np.float32(255.0), np.eye(3)
-    if rng is not None:
-        colours = vary_colours(colours, rng, Augmentation())
-        rotation, offset = draw_pose_error(rng)
-        ahead = ahead + offset
-    position = ahead * (baseline / np.linalg.norm(ahead))
-    first, second = (
-        View(np.ascontiguousarray(image), pose)
-        for image, pose in zip(colours, (Pose(np.eye(3), np.zeros(3)), Pose(rotation, position)), strict=True)
-    )
-    options = replace(MatchingOptions(), size=images.shape[1:3])
-    of_first, of_second = MatchingDepthEstimator(options, threads=1).features(first, second)
-    half_turn = images.shape[2] // (4 * CELL)
-    return np.stack([_cells(of_first), np.roll(_cells(of_second), half_turn, axis=-1)])
-
-
-def _cells(features: StereoFeatures) -> Float32[np.ndarray, "4 rows cols"]:
-    consistent, sky = (each.astype(np.float32) for each in (features.left_right_consistent, features.sky))
-    maps = np.stack([sqrt_inv_depth(features.matched), consistent, sky, sqrt_inv_depth(features.filled)])
-    return reduced_matching(maps.astype(np.float32), CELL)
-
-
-def reduced_matching(matching: Float32[np.ndarray, "4 height width"], cell: int) -> Float32[np.ndarray, "4 rows cols"]:
-    """Means over cells; of the best match over what is consistent in a cell, if anything is."""
-    channels, height, width = matching.shape
-    cells = matching.reshape(channels, height // cell, cell, width // cell, cell)
-    means = cells.mean(axis=(2, 4))
-    of_consistent = (cells[0] * cells[1]).mean(axis=(1, 3)) / np.maximum(means[1], 1e-6)
-    means[0] = np.where(means[1] > 0, of_consistent, means[0])
-    return np.asarray(means, np.float32)
 
 
 def facing_the_other(
