@@ -11,7 +11,7 @@ import pytest
 from interpolation_samples import CHAIN, tour_job
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.interpolation.viewer.dollhouse import GRID, stacked_surfaces
+from omnisyn_cli.interpolation.viewer.contents import GRID, stacked_surfaces
 from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view, run_view
 from omnisyn_cli.io import read_inverse_depth
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses

@@ -1,13 +1,19 @@
-"""What a walk consists of: panoramas, pairs of neighbours with their surfaces, and the program's rules as numbers."""
+"""What a walk consists of: panoramas, pairs of neighbours with their surfaces, and the program's rules as numbers.
 
+The tour from outside (``web/dollhouse.js``) has coarse surfaces of all panoramas, without what is far, overhead, or
+seen better from elsewhere; only those that face the eye are shown, so walls and ceilings are open towards it.
+"""
+
+import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
@@ -15,13 +21,12 @@ from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
-from omnisyn_cli.geometry.pose import Pose, at_same_position
-from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_directions
+from omnisyn_cli.geometry.pose import Pose, at_same_position, distance_between
+from omnisyn_cli.geometry.sampling import sample_nearest, window_max
+from omnisyn_cli.geometry.sphere import UP, angles_to_direction, pixel_directions
 from omnisyn_cli.geometry.tolerances import OCCLUSION_SCALE, SAME_POINT_TOLERANCE
 from omnisyn_cli.interpolation.loading import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.plan import TourPlan
-from omnisyn_cli.interpolation.viewer.dollhouse import coarse_surface, stacked_surfaces
 from omnisyn_cli.interpolation.viewer.packing import Blocks, confidence_codes, inverse_depth_codes, packed_mask
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.images import read_picture
@@ -29,7 +34,7 @@ from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.pipeline.config import make_method
 from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
 from omnisyn_cli.poses.tour import FloorPlan, Hotspot, StartView
-from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.mesh import MASKED_INVERSE_DEPTH, Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import MAX_FULL_RESOLUTION_LEVEL, MIP_BIAS
 from omnisyn_cli.synthesis.frame import fuse_frame
@@ -51,6 +56,13 @@ NO_CORRECTION, CORRECTION_SCALE = 128, 127
 CORRECTION_ROWS, CORRECTION_SHARE, MIN_CORRECTION = 512, 0.7, 4
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
+
+GRID = (80, 160)  # rows and columns of vertices of a panorama: below its ceiling less than 20,000 triangles
+MAX_ELEVATION_SINE = math.sin(math.radians(25.0))  # above, there is a ceiling or the sky. Set by hand.
+MIN_SHOWN_CONFIDENCE = 0.1  # less is a guess
+# How far from its panorama a surface is shown: mean lengths of links, and metres at the least. Set by hand.
+REACH_LINKS, MIN_REACH_METRES = 3.0, 8.0
+NEARER_SHARE = 0.98  # of the distance, from which on a panorama that sees a place shows it for others
 
 # Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye.
 RULES: Mapping[str, float] = {
@@ -280,3 +292,50 @@ def correction_of(plan: TourPlan, pair: PairSurfaces) -> UInt8[np.ndarray, "rows
     if np.abs(change).max() < MIN_CORRECTION:
         return None
     return np.asarray(NO_CORRECTION + change, np.uint8)
+
+
+def coarse_surface(surface: PanoramaSurface) -> Float[np.ndarray, "rows cols"]:
+    """Inverse depth (1/metre) of a grid of vertices, negative where a panorama has nothing to show."""
+    rays = _rays()
+    is_hidden = (rays @ surface.view.pose.rotation.T @ UP > MAX_ELEVATION_SINE) | (
+        sample_nearest(surface.depth.confidence, rays) < MIN_SHOWN_CONFIDENCE
+    )
+    return np.where(is_hidden, MASKED_INVERSE_DEPTH, sample_nearest(surface.mesh.inverse_depth, rays))
+
+
+def stacked_surfaces(
+    surfaces: Sequence[Float[np.ndarray, "rows cols"]], poses: Sequence[Pose], links: Sequence[Sequence[int]]
+) -> Float[np.ndarray, "all_rows cols"]:
+    """The coarse surfaces of all panoramas, one below the other, each place in that which sees it best."""
+    mean_link = float(np.mean([distance_between(poses[first], poses[second]) for first, second in links]))
+    reach = max(MIN_REACH_METRES, REACH_LINKS * mean_link)
+    shown = []
+    for index, (rho, pose) in enumerate(zip(surfaces, poses, strict=True)):
+        is_near = rho > 1.0 / reach
+        depth = 1.0 / rho[is_near]
+        points = pose.position + depth[:, None] * (_rays()[is_near] @ pose.rotation.T)
+        is_own = np.ones(len(points), bool)
+        for other, elsewhere in enumerate(poses):
+            if other != index and distance_between(elsewhere, pose) < 2.0 * reach:
+                is_own &= ~_sees_better(surfaces[other], elsewhere, points, depth)
+        owned = np.zeros(rho.shape, np.float32)
+        owned[is_near] = is_own
+        is_shown = is_near & (window_max(owned, 1) > 0.0)  # one vertex more, so that nothing is open between both
+        shown.append(np.where(is_shown, rho, MASKED_INVERSE_DEPTH))
+    return np.concatenate(shown)
+
+
+def _sees_better(
+    rho: Float[np.ndarray, "rows cols"], pose: Pose, points: Float[np.ndarray, "points 3"],
+    depth: Float[np.ndarray, " points"],
+) -> Bool[np.ndarray, " points"]:  # fmt: skip
+    """Whether a panorama is nearer to points than ``depth``, and its own surface there is the same one."""
+    seen = (points - pose.position) @ pose.rotation
+    distance = np.linalg.norm(seen, axis=1)
+    is_same = np.abs(sample_nearest(rho, seen) * distance - 1.0) < 2.0 * SAME_POINT_TOLERANCE
+    return np.asarray(is_same & (distance < NEARER_SHARE * depth))
+
+
+@cache
+def _rays() -> Float[np.ndarray, "rows cols 3"]:
+    return pixel_directions(*GRID)
