@@ -192,12 +192,9 @@ def _find_static_regions(maps: tuple[NadirMap, NadirMap], views: tuple[View, Vie
         seeds = is_moving & is_other & is_like & (repeats[k] < 2)
         rest = (difference[k] < MAX_STILL_DIFFERENCE) & (step > MIN_GROUND_DIFFERENCE)
         kept.append(_objects(seeds, repeats[k] == 0, seeds | (_dilated(seeds, GROWTH_PIXELS) & is_moving & rest)))
-    return _without_holes((kept[0] & _dilated(kept[1], GROWTH_PIXELS)) | (kept[1] & _dilated(kept[0], GROWTH_PIXELS)))
-
-
-def _without_holes(mask: Mask) -> Mask:
-    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(cv2.drawContours(np.zeros(mask.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0)
+    both = (kept[0] & _dilated(kept[1], GROWTH_PIXELS)) | (kept[1] & _dilated(kept[0], GROWTH_PIXELS))
+    outlines, _ = cv2.findContours(both.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)  # without holes
+    return np.asarray(cv2.drawContours(np.zeros(both.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0)
 
 
 def _objects(seeds: Mask, unique: Mask, region: Mask) -> Mask:
@@ -232,12 +229,10 @@ def _ground_height(
 
 
 def _repetition_count(one: NadirMap, pose: Pose, way: Float[np.ndarray, " 3"]) -> Int[np.ndarray, "rows cols"]:
-    """In how many of four directions a pattern repeats itself: it may be found in place by chance.
-
-    The direction of the way of the camera counts twice: a line along it stays in place.
-    """
+    """In how many of four directions a pattern repeats itself: it may be found in place by chance."""
     axes = np.zeros(one.image.shape[:2], int)
     right, _, down = one.turn.T @ pose.rotation.T @ way / max(float(np.linalg.norm(way)), 1e-9)
+    # the way of the camera counts twice: a line along it stays in place
     for axis, count in (((0, 1), 1), ((1, 0), 1), ((1, 1), 1), ((1, -1), 1), ((float(down), float(right)), 2)):
         alike = np.full(axes.shape, -1.0, np.float32)
         for far in REPEAT_PIXELS[:: 3 - count]:
@@ -264,10 +259,7 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> Float32[np.ndarray, "rows cols
 
 
 def _likeness(one: NadirMap, other: NadirMap, shift: tuple[int, int]) -> Float32[np.ndarray, "rows cols"]:
-    """Of windows of one map and of another that is moved: 1 for equal colours, 0 if they differ as much as they vary.
-
-    -1 where either has too little contrast.
-    """
+    """Of windows of a map and another, moved: 1: equal colours, 0: they differ as they vary, -1: without contrast."""
     step = one.image - np.roll(other.image, shift, (0, 1))
     variance = np.roll(other.variance, shift, (0, 1))
     difference = cv2.blur(np.einsum("ijk,ijk->ij", step, step), WINDOW)

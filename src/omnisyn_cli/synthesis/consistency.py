@@ -78,25 +78,23 @@ def _render_crosswise(
     """Each photograph beside the other view's surface rendered at its position; both views, small; their renderers."""
     size = min(CROSS_CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
 
-    def prepare(view: View, depth: DepthEstimate) -> tuple[View, Renderer]:
-        small = _downsampled_view(view, depth, size)
-        return small, _mesh_renderer(small, cut, threads)
+    def prepare(view: View, depth: DepthEstimate) -> tuple[View, DepthEstimate, Renderer]:
+        """A view at the size of the check, its depth and its surface."""
+        image, mask = resize_area(view.image, size), None if view.mask is None else resize_mask(view.mask, size)
+        known = subsample_depth(depth, size)
+        # as frames have it: kernels compile once
+        shown = image if view.image_uint8 is None else resized_to(view.image_uint8, size, cv2.INTER_AREA)
+        inputs = RendererInputs(shown, mask, known.inverse_depth, known.confidence, size, cut, threads)
+        return View(image, view.pose, mask), known, MeshRenderer(inputs)
 
     with limited_threads(threads):
         prepared = both(*(partial(prepare, *each) for each in zip(views, depths, strict=True)))
-        (first, of_first), (second, of_second) = prepared
+        (first, depth_of_first, of_first), (second, depth_of_second, of_second) = prepared
         crossed = both(
-            lambda: _photo_and_other_surface(first, of_second, second),
-            lambda: _photo_and_other_surface(second, of_first, first),
+            lambda: _photo_and_other_surface(first, depth_of_first, of_second, second.pose),
+            lambda: _photo_and_other_surface(second, depth_of_second, of_first, first.pose),
         )
     return list(crossed), (first, second), [of_first, of_second]
-
-
-def _downsampled_view(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
-    """A view at the size of the check, its depth with it."""
-    image, mask = resize_area(view.image, size), None if view.mask is None else resize_mask(view.mask, size)
-    image_uint8 = None if view.image_uint8 is None else resized_to(view.image_uint8, size, cv2.INTER_AREA)
-    return View(image, view.pose, mask, subsample_depth(depth, size), image_uint8=image_uint8)
 
 
 def subsample_depth(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
@@ -124,22 +122,12 @@ def resized_to(image: np.ndarray, size: tuple[int, int], interpolation: int) -> 
     return image if image.shape[:2] == size else np.asarray(cv2.resize(image, size[::-1], interpolation=interpolation))
 
 
-def _mesh_renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
-    depth, size = _depth_of(view), view.image.shape[:2]
-    image = view.image if view.image_uint8 is None else view.image_uint8  # as frames have it: kernels compile once
-    return MeshRenderer(RendererInputs(image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads))
-
-
-def _depth_of(view: View) -> DepthEstimate:
-    if view.known_depth is None:
-        raise ValueError("expected a view with its depth, got one without")
-    return view.known_depth
-
-
-def _photo_and_other_surface(view: View, other_renderer: Renderer, other: View) -> tuple[Layer, Layer]:
+def _photo_and_other_surface(
+    view: View, depth: DepthEstimate, other_renderer: Renderer, other: Pose
+) -> tuple[Layer, Layer]:
     """The photograph of a view as a layer, and the other view's surface rendered at the same pose."""
-    other_layer = _render_copy(other_renderer, view.pose.inverse() @ other.pose)
-    depth, size = _depth_of(view), view.image.shape[:2]
+    other_layer = _render_copy(other_renderer, view.pose.inverse() @ other)
+    size = view.image.shape[:2]
     inverse_depth = resized_to(depth.inverse_depth, size, cv2.INTER_NEAREST)
     weight = np.maximum(resized_to(depth.confidence, size, cv2.INTER_NEAREST), MIN_PHOTO_WEIGHT)
     if view.mask is not None:

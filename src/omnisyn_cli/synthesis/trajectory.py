@@ -4,7 +4,7 @@ A chain of panoramas is walked along straight lines at constant speed (or starti
 exactly on every panorama, so that the photograph itself is shown there and the change of segment cannot be seen.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -54,8 +54,13 @@ def plan_path(
         raise ValueError(f"expected at least one frame per panorama ({len(poses)}), got {frames}")
     where = _places(_segment_lengths(poses), frames, ease)
     segment_index = np.minimum(where.astype(int), len(poses) - 2)
-    shares = [where[segment_index == k] - k for k in range(len(poses) - 1)]
-    return [waypoint for k, t in enumerate(shares) for waypoint in _segment_waypoints(poses, k, t, heading)]
+    path = []
+    for k, (first, second) in enumerate(pairwise(poses)):
+        t = where[segment_index == k] - k  # shares of the way; exact at 0 and 1
+        positions = (1.0 - t)[:, None] * first.position + t[:, None] * second.position
+        posed = map(Pose, _rotations(poses, k, t, heading), positions)
+        path += [Waypoint(k, float(share), pose) for share, pose in zip(t, posed, strict=True)]
+    return path
 
 
 def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:
@@ -84,15 +89,6 @@ def _frames_at_knots(walked: np.ndarray, knots: np.ndarray) -> np.ndarray:
     nearest[0], nearest[-1] = 0, last
     later = np.maximum.accumulate(nearest - order) + order
     return np.minimum(later, last - order[::-1])
-
-
-def _segment_waypoints(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading) -> Iterator[Waypoint]:
-    """The frames of one segment, at the shares ``t`` of its way; exact at 0 and 1."""
-    first, second = poses[segment], poses[segment + 1]
-    positions = (1.0 - t)[:, None] * first.position + t[:, None] * second.position
-    rotations = _rotations(poses, segment, t, heading)
-    for share, rotation, position in zip(t, rotations, positions, strict=True):
-        yield Waypoint(segment, float(share), Pose(rotation, position))
 
 
 def _rotations(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading) -> Float[np.ndarray, "frames 3 3"]:
@@ -125,11 +121,6 @@ def _level_direction(poses: Sequence[Pose], segment: int) -> Float[np.ndarray, "
         level = (poses[candidate + 1].position - poses[candidate].position) * np.array([1.0, 0.0, 1.0])
         length = float(np.linalg.norm(level))
         if length > SAME_POSITION_METRES:
-            return _turn_about_up(level / length)
+            is_back = level[2] / length > 1.0 - 1e-12  # the half turn about the vertical, not about any other axis
+            return np.diag([-1.0, 1.0, -1.0]) if is_back else rotation_taking(FORWARD, level / length)
     return poses[wanted].rotation
-
-
-def _turn_about_up(direction: np.ndarray) -> np.ndarray:
-    if direction[2] > 1.0 - 1e-12:
-        return np.diag([-1.0, 1.0, -1.0])  # straight back: the half turn about the vertical, not about any other axis
-    return rotation_taking(FORWARD, direction)
