@@ -141,15 +141,11 @@ def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None
                 if rest:
                     waiting.appendleft(rest)
                 if is_lost:
-                    yield Outcome(job, _lost(answer), deaths[job.key])
-
-
-def _lost(death: str) -> Answer:
-    message = (
-        f"expected a worker to survive this job, got {MAX_WORKER_DEATHS} that died of it ({death}); if memory ran "
-        "out, take fewer workers or a smaller size"
-    )
-    return Answer(None, message, None, "")
+                    message = (
+                        f"expected a worker to survive this job, got {MAX_WORKER_DEATHS} that died of it ({answer}); "
+                        "if memory ran out, take fewer workers or a smaller size"
+                    )
+                    yield Outcome(job, Answer(None, message, None, ""), deaths[job.key])
 
 
 class LocalExecutor(Executor):

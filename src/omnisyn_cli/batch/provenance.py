@@ -70,10 +70,7 @@ def digest_of_network(name: str, sources: Mapping[str, Any], job: BatchJob) -> s
 
 
 def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
-    """Settings as plain values, and the files, but for the pose file, of which only the entries of panoramas count.
-
-    Networks of manifests are not among the files: they lie elsewhere on every machine.
-    """
+    """Settings as plain values, and the files, but for the pose file, of which only the entries of panoramas count."""
     entries = _entries(job)
     networks = _networks(job, entries)
     named = [Path(name).name for name in networks if not _is_path(name)]
@@ -91,6 +88,7 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
         "models": {name: installed[name].sha256 if name in installed else None for name in named},
     }
+    # networks of manifests are not among the files: they lie elsewhere on every machine
     companions = (file for entry in entries for file in entry.companions)
     own_networks = (Path(name) for name in networks if _is_path(name))
     return settings, list(dict.fromkeys((*job.images, *job.input_files, *companions, *own_networks)))

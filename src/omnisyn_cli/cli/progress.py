@@ -88,10 +88,7 @@ def counted_bar(
             shown[0] = name(done, *what)
             bars.update(task, completed=done, description=shown[0])
 
-        def compile_(is_begun: bool) -> None:
-            bars.update(task, description="compiling" if is_begun else shown[0])
-
-        with while_compiling(compile_):
+        with while_compiling(lambda begun: bars.update(task, description="compiling" if begun else shown[0])):
             yield show
 
 

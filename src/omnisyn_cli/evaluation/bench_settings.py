@@ -26,7 +26,7 @@ from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets import find_scenes
-from omnisyn_cli.evaluation.datasets.sources import Pair, SceneFrame, choose_pairs
+from omnisyn_cli.evaluation.datasets.sources import Pair, choose_pairs
 from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.evaluation.results import Fingerprints
@@ -113,7 +113,11 @@ def _plans(run: BenchRun, config: RunConfig, folder: Path) -> Iterator[Interpola
     for index, pair in enumerate(run.pairs):
         place = folder / str(index)
         place.mkdir()
-        entries = dict(_copied(frame, place, name) for name, frame in (("first", pair.first), ("second", pair.second)))
+        entries = {}
+        for name, frame in (("first", pair.first), ("second", pair.second)):
+            image = shutil.copyfile(frame.image, place / f"{name}{frame.image.suffix}")
+            mask = frame.mask and shutil.copyfile(frame.mask, place / f"{name}_mask{frame.mask.suffix}")
+            entries[image.name] = PosedPanorama(frame.pose, mask=mask)
         write_poses(place / "poses.json", entries)
         job = InterpolationJob(
             tuple(place / name for name in entries), place / "poses.json", place / "clip.mp4",
@@ -121,12 +125,6 @@ def _plans(run: BenchRun, config: RunConfig, folder: Path) -> Iterator[Interpola
             threads=run.setting.threads, overwrite=True,
         )  # fmt: skip
         yield replace(plan_interpolation(job), config=config)
-
-
-def _copied(frame: SceneFrame, place: Path, name: str) -> tuple[str, PosedPanorama]:
-    image = shutil.copyfile(frame.image, place / f"{name}{frame.image.suffix}")
-    mask = frame.mask and shutil.copyfile(frame.mask, place / f"{name}_mask{frame.mask.suffix}")
-    return image.name, PosedPanorama(frame.pose, mask=mask)
 
 
 def _clip(plan: InterpolationPlan, estimator: DepthEstimator, frames: int) -> dict[str, float]:

@@ -101,7 +101,10 @@ def estimate_curve(
     is_alike = max(fit.rms_gain for fit in fits) < MIN_GAIN_STOPS
     if is_alike or sum(fit.error_after for fit in fits) > MAX_UNEXPLAINED_SHARE * sum(fit.error_before for fit in fits):
         return ExposureCurve(np.zeros((3, len(KNOTS))))
-    return ExposureCurve(_limit_slope(np.stack([fit.gain for fit in fits])))
+    gain = np.stack([fit.gain for fit in fits])
+    middle, steepest = gain.mean(axis=1, keepdims=True), float((np.abs(np.diff(gain, axis=1)) / np.diff(KNOTS)).max())
+    # A level m is shown at m ± g(m)/2. Brighter places stay brighter as long as |g'| < 2; 1.5 leaves a margin.
+    return ExposureCurve(np.asarray(middle + (gain - middle) * min(1.0, 1.5 / max(steepest, 1e-12))))
 
 
 def cross_validated_curve(
@@ -218,16 +221,6 @@ def _smooth_fit(level: np.ndarray, median: np.ndarray, share: np.ndarray) -> Flo
     steps = np.diff(np.eye(len(KNOTS)), axis=0)
     left = hats.T @ (share[:, None] * hats) + SMOOTHNESS_WEIGHT * steps.T @ steps
     return np.asarray(np.linalg.solve(left, hats.T @ (share * median)))
-
-
-def _limit_slope(gain: np.ndarray) -> Float[np.ndarray, "3 knots"]:
-    """Flatten the gain where a brighter place would otherwise become darker than a darker one in one of the pictures.
-
-    A level ``m`` is shown at ``m ± g(m)/2``, which rises as long as ``|g'| < 2``; 1.5 leaves a margin.
-    """
-    steepest = float((np.abs(np.diff(gain, axis=1)) / np.diff(KNOTS)).max())
-    middle = gain.mean(axis=1, keepdims=True)
-    return np.asarray(middle + (gain - middle) * min(1.0, 1.5 / max(steepest, 1e-12)))
 
 
 def srgb_to_linear(value: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:

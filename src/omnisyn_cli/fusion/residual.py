@@ -32,12 +32,6 @@ TILE_COARSE_ROWS = 4  # rows of the smaller size that are averaged together. Set
 SAMPLES_PER_BLOCK_SIDE = 4
 
 
-def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
-    """1 where the network may choose between the layers, 0 where a ghost is suppressed and around there."""
-    strength = max_pool(np.abs(suppression.signed_strength), size)
-    return np.asarray(1.0 - dilate(strength, 1), np.float32)
-
-
 # Channels, candidates, and how much of the network's weights is taken, in [0, 1].
 Correction = tuple[Float32[np.ndarray, "channels height width"], WarpCandidates, Float32[np.ndarray, "height width"]]
 # Takes the channels of :class:`InputBuilder` to blend weights ``(4, height, width)`` of the warp candidates.
@@ -108,7 +102,8 @@ class ResidualFuser(GeometricFuser):
             return None
         strength = np.full(channels.shape[1:], rule.occlusion_strength, np.float32)
         if suppression is not None:
-            strength *= ghost_free_mask(suppression, strength.shape)
+            ghosts = max_pool(np.abs(suppression.signed_strength), strength.shape)
+            strength *= 1.0 - dilate(ghosts, 1)  # and around there: nothing to choose
         return channels, candidates, strength
 
     def correct(

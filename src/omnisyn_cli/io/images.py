@@ -132,17 +132,14 @@ def _check_content(path: Path, colour: np.ndarray, placement: Placement, *, allo
 def _reduced(
     header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None, placement: Placement, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray | None, Placement]:
-    """Samples of a smaller sphere, by means over areas, before they become numbers: that takes a quarter of the memory.
-
-    Where only a part is known, or alpha is, the mask of it is alpha: white where all of a pixel is known.
-    """
+    """Samples of a smaller sphere, by means over areas, before they become numbers of four times the memory."""
     if colour.dtype == np.float16:
         colour = colour.astype(np.float32)
     if header.is_alpha_associated and alpha is not None and (alpha != INTEGER_PEAKS.get(str(alpha.dtype), 1)).any():
         return colour, alpha, placement
     opaque = INTEGER_PEAKS.get(str(colour.dtype), 1)
     smaller = _resized(placement.put(colour), size)
-    if alpha is not None or not placement.is_whole:
+    if alpha is not None or not placement.is_whole:  # the new alpha is white where all of a pixel is known
         known = np.ones(colour.shape[:2], bool) if alpha is None else unit_range(alpha, header.path) >= MIN_USABLE_ALPHA
         is_whole = _resized(placement.put(known.astype(np.float32)), size) > 1.0 - 1e-6
         alpha = np.where(is_whole, opaque, 0).astype(colour.dtype)

@@ -188,7 +188,10 @@ def estimate_poses(
     too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
-    _check_baselines(baselines, len(images) - 1)
+    if len(baselines) not in (0, 1, pairs := len(images) - 1):
+        raise InputError(f"expected one baseline, or one for each of {pairs} pairs, got {len(baselines)}; name as many")
+    if not all(np.isfinite(length) and length > 0 for length in baselines):
+        raise InputError(f"expected baselines above 0 m, got {', '.join(map(str, baselines))}; measure them")
     given = {(k, k + 1): length for k, length in enumerate(baselines)} if len(baselines) > 1 else {}
     options = options or PictureOptions()
     scans = [scan_panorama(*picture, options.threads) for picture in usable_pictures(images, options)]
@@ -344,12 +347,9 @@ def _scale(
 
 
 def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequence[Edge]) -> tuple[float, float, str]:
-    """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it.
-
-    A few pairs may see nothing but furniture. So matched points have to agree: many closely, or some with none below.
-    Pairs on stairs do not count.
-    """
+    """Height of the cameras above the floor in the unit of the positions, its relative spread, and who sees it."""
     steps = [world[edge.second].position - world[edge.first].position for edge in edges]
+    # pairs on stairs do not count
     chosen = [edge for edge, step in zip(edges, steps, strict=True) if abs(step[1]) < MAX_CLIMB * np.hypot(*step[::2])]
     views = {k: View(scans[k].small, pose, scans[k].usable) for k, pose in world.items()}
     heights = floor_heights([(views[edge.first], views[edge.second]) for edge in chosen])
@@ -357,6 +357,7 @@ def _camera_height(world: Mapping[int, Pose], scans: Sequence[Scan], edges: Sequ
         height = float(np.quantile(heights, FLOOR_QUANTILE))
         spread = float(np.median(np.abs(np.array(heights) - height))) / height
         return height, spread, f"{len(heights)} of {len(edges)} pairs see"
+    # a few pairs may see nothing but furniture: matched points have to agree, many closely, or some with none below
     above = [height_above_points(world[edge.first], world[edge.second], edge.matches) for edge in chosen]
     points = np.concatenate([np.zeros(0), *above])
     level = level_of_points(points)
@@ -387,13 +388,6 @@ def check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
         raise InputError(f"expected every panorama once, got '{image.name}' several times; name it once")
     for image in images:
         check_is_file(image)
-
-
-def _check_baselines(baselines: Sequence[float], pairs: int) -> None:
-    if len(baselines) not in (0, 1, pairs):
-        raise InputError(f"expected one baseline, or one for each of {pairs} pairs, got {len(baselines)}; name as many")
-    if not all(np.isfinite(length) and length > 0 for length in baselines):
-        raise InputError(f"expected baselines above 0 m, got {', '.join(map(str, baselines))}; measure them")
 
 
 def usable_pictures(

@@ -171,10 +171,7 @@ def _recolour(
     image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View, other: View,
     other_depth: DepthEstimate, height: float,
 ) -> Float[np.ndarray, "pixels 3"] | None:  # fmt: skip
-    """Colours that the other view sees inside a gap, as bright as the ground around it; None where that differs.
-
-    Wrong depth would move other things onto the ground.
-    """
+    """Colours that the other view sees inside a gap, as bright as the ground around it; None where that differs."""
     ring = (cv2.dilate(gap.astype(np.uint8), np.ones((2 * EDGE_PIXELS + 1,) * 2, np.uint8)) > 0) & ~gap
     rows, cols = np.nonzero(ring & np.asarray(view.mask))
     directions = pixel_to_direction(rows, cols, gap.shape)
@@ -185,6 +182,7 @@ def _recolour(
     ratio = np.median(own, axis=0) / np.maximum(np.median(around, axis=0), 1e-3)
     gain = np.clip(ratio, 1.0 / MAX_GAIN, MAX_GAIN)
     difference = own - gain * around
+    # wrong depth would move other things onto the ground
     if (np.abs(difference).mean(axis=-1) < MAX_RING_DIFFERENCE).mean() < MIN_RING_SHARE:
         return None
     return np.asarray(np.clip(colour * gain + _continued_step(difference, directions[seen], inside), 0.0, 1.0))
@@ -209,10 +207,8 @@ def _fill_with_patch(
     image: Float32[np.ndarray, "height width 3"], gap: Bool[np.ndarray, "height width"], view: View,
     depth: DepthEstimate, height: float,
 ) -> bool:  # fmt: skip
-    """Fill a gap of the image, in place, with a patch of the ground around whose depth is confident; whether one fits.
-
-    The ground is seen from above, so that a pattern keeps its shape wherever it is.
-    """
+    """Fill a gap of the image, in place, with a patch of the ground whose depth is confident; whether one fits."""
+    # the ground is seen from above, so that a pattern keeps its shape wherever it is
     reach = float(np.tan(np.radians(MAX_GROUND_DEG)))
     count = min(MAX_FLAT_ROWS, round(2.0 * reach * pixel_scale(gap.shape)[0]))
     axis = (np.arange(count) + 0.5) * (2.0 * reach / count) - reach

@@ -139,18 +139,16 @@ class SurfaceSamples(NamedTuple):
 def _common_surface(
     views: tuple[View, View], depths: Depths, reliability: Reliabilities
 ) -> Float32[np.ndarray, "rows cols 3"]:
-    """A smooth surface around the middle of two views: the plane that is fitted around every direction.
-
-    Planes are normals, as long as the inverse distance in 1/baselines. Fits are repeated without what is far from them.
-    """
+    """A smooth surface around the middle of two views: the plane that is fitted around every direction."""
     direction, inverse_distance, weight = _surface_samples(views, depths, reliability)
     row, col = (np.round(index).astype(np.intp) for index in direction_to_pixel(direction, SURFACE_GRID))
     cell = np.asarray(np.clip(row, 0, SURFACE_GRID[0] - 1) * SURFACE_GRID[1] + col % SURFACE_GRID[1])
     weight = weight / (inverse_distance + SAMPLE_OFFSET)
     sizes = (PLANE_WINDOWS_DEG, PLANE_WINDOW_WEIGHTS), (DISTANCE_WINDOWS_DEG, DISTANCE_WINDOW_WEIGHTS)
     windows = [_window_weights(*each) for each in sizes]
+    # as long as the inverse distance in 1/baselines
     normals = _fit_planes(SurfaceSamples(direction, inverse_distance, weight), cell, *windows)
-    for scale in OUTLIER_SCALES:
+    for scale in OUTLIER_SCALES:  # again without what is far from them
         fitted = np.maximum((normals[cell] * direction).sum(axis=-1), 1.0 / FARTHEST_SURFACE_BASELINES)
         error = np.log(fitted / inverse_distance) / scale
         robust = SurfaceSamples(direction, inverse_distance, weight / (1.0 + error**2) ** 2)

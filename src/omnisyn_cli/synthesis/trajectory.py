@@ -102,10 +102,8 @@ def _rotations(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Head
 
 
 def _travel_rotations(poses: Sequence[Pose], segment: int, t: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
-    """Level, looking along the way; within the second half of a segment it begins to turn into the next one.
-
-    At a panorama it looks half way between the directions before and after it, so that a corner is turned smoothly.
-    """
+    """Level, looking along the way; within the second half of a segment it begins to turn into the next one."""
+    # at a panorama half way between the directions before and after it, so that a corner is turned smoothly
     here = _level_direction(poses, segment)
     begin = slerp(_level_direction(poses, segment - 1), here, 0.5)
     end = slerp(here, _level_direction(poses, segment + 1), 0.5)

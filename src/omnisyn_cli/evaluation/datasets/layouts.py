@@ -229,7 +229,11 @@ def tours_of_photographs(
     places = {place: name for each in (POSES_NAME, PHOTOGRAPHS) for name, place in scene_folders(folder, each)}
     for place, name in places.items():
         is_posed = (place / POSES_NAME).is_file()
-        found = own_scenes(place, allow_outside=allow_outside)[0].frames() if is_posed else _in_order(place)
+        if is_posed:
+            found = own_scenes(place, allow_outside=allow_outside)[0].frames()
+        else:
+            files = sorted(place.glob(PHOTOGRAPHS), key=lambda path: natural_key(path.name))
+            found = (SceneFrame(path.name, path, Pose.identity()) for path in files)  # no poses are known yet
         for pair in choose(Scene(name, tuple(found))):
             frames = (pair.first, *pair.between, pair.second)
             read = partial(tuple, frames) if is_posed else partial(_located, frames, report, threads)
@@ -244,12 +248,6 @@ def still_region_of(folder: Path) -> np.ndarray | None:
     paths, reading = sorted(folder.glob(PHOTOGRAPHS)), Reading(size=PICTURE_SIZE)
     read = (read_panorama(paths[index], reading=reading) for index in spread_out(len(paths)))
     return find_still_region(View(picture.image, Pose.identity(), picture.mask) for picture in read)
-
-
-def _in_order(folder: Path) -> Iterator[SceneFrame]:
-    """Photographs whose poses are not known yet."""
-    for path in sorted(folder.glob(PHOTOGRAPHS), key=lambda path: natural_key(path.name)):
-        yield SceneFrame(path.name, path, Pose.identity())
 
 
 def _located(frames: Sequence[SceneFrame], report: Path, threads: int | None) -> Iterator[SceneFrame]:

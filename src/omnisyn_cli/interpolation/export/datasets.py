@@ -96,10 +96,7 @@ def _places(height: int, width: int, stride: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _normals(mesh: Mesh) -> Float[np.ndarray, "height width 3"]:
-    """Unit normals towards the centre, of the neighbours that no cut separates; the line of sight where there are none.
-
-    Of two neighbours on one line the one whose distance differs less counts.
-    """
+    """Unit normals towards the centre, of neighbours that no cut separates; the line of sight where there are none."""
     rho = mesh.inverse_depth
     directions = sphere.pixel_directions(*mesh.size)
     points = directions / np.where(rho > 0, rho, 1.0)[..., None]
@@ -113,6 +110,7 @@ def _normals(mesh: Mesh) -> Float[np.ndarray, "height width 3"]:
         ahead = np.where(is_joined & present & np.roll(present, -1, axis), np.abs(np.roll(rho, -1, axis) - rho), np.inf)
         behind = np.roll(ahead, 1, axis)
         step = np.roll(points, -1, axis) - points
+        # of two neighbours on one line the one whose distance differs less
         chosen = np.where((ahead <= behind)[..., None], step, np.roll(step, 1, axis))
         lines.append(np.where(np.isfinite(np.minimum(ahead, behind))[..., None], chosen, 0.0))
     normal = np.asarray(sphere.normalize(np.cross(lines[0], lines[1])))

@@ -116,18 +116,15 @@ class TourPacker:
                 self._coarse[surface.index] = coarse_surface(surface)
         is_ambiguous = self._plan.config.fallback == "crossfade" and pair.cross_check.confidence.score < MIN_PAIR_SCORE
         gains = _gains(pair.cross_check.curve)
+        change = None if is_ambiguous or pair.is_soft else correction_of(self._plan, pair)
         self._links[pair.index] = {
             "panoramas": [surface.index for surface in pair.surfaces],
             "surfaces": [self._surface(surface, is_soft=pair.is_soft) for surface in pair.surfaces],
             "isCrossFade": is_ambiguous,
             "isSoft": pair.is_soft,
-            "correction": None if is_ambiguous or pair.is_soft else self._correction(pair),
+            "correction": None if change is None else self.blocks.add_photograph(change, is_lossless=self._is_lossless),
             "exposure": None if gains is None else self.blocks.add(zlib.compress(np.array(gains, "<f4").tobytes(), 9)),
         }
-
-    def _correction(self, pair: PairSurfaces) -> dict[str, Any] | None:
-        samples = correction_of(self._plan, pair)
-        return None if samples is None else self.blocks.add_photograph(samples, is_lossless=self._is_lossless)
 
     def manifest(self) -> dict[str, Any]:
         """Plain values, see ``docs/view.md``; they name blocks by number."""

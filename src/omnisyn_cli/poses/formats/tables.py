@@ -123,16 +123,12 @@ def _csv_rows(source: Path, required: Sequence[str]) -> Iterator[tuple[str, dict
             if next(iter(row.values()), "").startswith("#"):
                 continue
             fields = _renamed({key: value for key, value in row.items() if key})
-            if delimiter != ",":
-                fields |= {key: _with_point(fields[key]) for key in COLUMNS if key in fields and key != "image"}
+            if delimiter != ",":  # which then may be a decimal comma
+                numbers = fields.keys() & COLUMNS.keys() - {"image"}
+                fields |= {key: re.sub(r"^(\s*[+-]?\d+),(\d+\s*)$", r"\1.\2", fields[key]) for key in numbers}
             yield f"{source}:{reader.line_num}", fields
     except csv.Error as error:
         raise PoseError(f"{source}:{reader.line_num}: expected CSV, got '{error}'; correct the line") from error
-
-
-def _with_point(number: str) -> str:
-    """A number with a decimal comma as one with a point, where commas do not separate columns."""
-    return re.sub(r"^(\s*[+-]?\d+),(\d+\s*)$", r"\1.\2", number)
 
 
 def _json_rows(source: Path, required: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -123,7 +123,11 @@ def strongest_features(found: FoundPoints, usable: Usable, pixel: float, count: 
         kept = np.asarray(sample_nearest(usable.astype(np.float32), direction) > 0)
         direction, descriptor, response = direction[kept], descriptor[kept], response[kept]
     strongest = np.argsort(-response, kind="stable")[:count]
-    return Features(direction[strongest], _root_sift(descriptor[strongest]), pixel)
+    descriptor = descriptor[strongest]
+    total = descriptor.sum(axis=1, keepdims=True)
+    share = descriptor / np.where(total > 0, total, 1.0)
+    # roots of shares (Hellinger's distance instead of Euclid's), as whole numbers
+    return Features(direction[strongest], np.asarray(np.rint(np.sqrt(share) * DESCRIPTOR_NORM), np.float32), pixel)
 
 
 def match_features(first: Features, second: Features) -> Matches:
@@ -185,13 +189,6 @@ def detect_sift(image: Grey) -> FoundPoints:
     if not points:
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros(0)
     return np.array([p.pt for p in points], float), descriptor, np.array([p.response for p in points])
-
-
-def _root_sift(descriptor: np.ndarray) -> np.ndarray:
-    """Square roots of shares (Hellinger's distance instead of Euclid's), as whole numbers."""
-    total = descriptor.sum(axis=1, keepdims=True)
-    share = descriptor / np.where(total > 0, total, 1.0)
-    return np.asarray(np.rint(np.sqrt(share) * DESCRIPTOR_NORM), np.float32)
 
 
 @dataclass(frozen=True)

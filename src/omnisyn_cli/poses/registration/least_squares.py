@@ -180,10 +180,7 @@ def _jackknife_variances(jacobian: np.ndarray, residual: np.ndarray, cell: np.nd
 
 
 def _tangent(direction: np.ndarray) -> np.ndarray:
-    """Two orthogonal unit vectors across a direction, as columns.
-
-    Source: Duff et al., Building an orthonormal basis, revisited, JCGT 2017.
-    """
+    """Two orthogonal unit vectors across a direction, as columns (Duff et al., Building an orthonormal basis, 2017)."""
     x, y, z = direction.tolist()
     sign = math.copysign(1.0, z)
     share = 1.0 / (sign + z)

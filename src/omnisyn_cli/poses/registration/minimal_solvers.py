@@ -42,7 +42,11 @@ def essential_candidates(
     scale = np.prod(np.linalg.norm(leading, axis=-1), axis=-1)
     is_solvable = np.abs(np.linalg.det(leading)) > MIN_RELATIVE_DETERMINANT * scale
     null_space, eliminated = null_space[is_solvable], np.linalg.solve(leading[is_solvable], rest[is_solvable])
-    roots, vectors = np.linalg.eig(_action_matrix(eliminated))
+    action = np.zeros_like(eliminated)  # multiplies by x in the space spanned by :data:`BASIS`
+    action[:, :6] = -eliminated[:, :6]
+    for row, column in ((6, 0), (7, 1), (8, 2), (9, 6)):
+        action[:, row, column] = 1.0
+    roots, vectors = np.linalg.eig(action)
     is_real = np.abs(roots.imag) <= MAX_IMAGINARY_PART * np.abs(roots)
     sample, which = np.nonzero(is_real & (np.abs(vectors[:, 9]) > MIN_RELATIVE_DETERMINANT))
     weights = (vectors[sample, 6:, which] / vectors[sample, 9, which][:, None]).real
@@ -67,15 +71,6 @@ def _cubic_equations(null_space: np.ndarray) -> np.ndarray:
     traces = (2.0 * square @ e - trace * e).reshape(*e.shape[:2], 9)
     values = np.concatenate([np.linalg.det(e)[..., None], traces], axis=-1)
     return np.asarray(np.einsum("mp,bpq->bqm", COEFFICIENTS_FROM_VALUES, values))
-
-
-def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
-    """The matrix that multiplies by x in the space spanned by :data:`BASIS`."""
-    action = np.zeros_like(eliminated)
-    action[:, :6] = -eliminated[:, :6]
-    for row, column in ((6, 0), (7, 1), (8, 2), (9, 6)):
-        action[:, row, column] = 1.0
-    return action
 
 
 MAX_MODULUS_ERROR = 1e-4  # Distance of a root from the unit circle up to which it counts as a turn

@@ -134,10 +134,8 @@ def estimate_relative_pose(
 
 
 def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Verticals | None) -> Pose | None:
-    """Of ``others``, the likeliest first, one that matches of its own support nearly as well as a pose has its own.
-
-    Tiles and rows of windows are matched to their neighbours, so that a shift of the camera by one of them fits too.
-    """
+    """Of ``others``, the likeliest first, one that matches of its own support nearly as well as a pose has its own."""
+    # tiles and rows of windows are matched to their neighbours, so that a shift of the camera by one of them fits too
     for other in others:
         if max(least_squares.rotation_error(other, pose), least_squares.direction_error(other, pose)) > RIVAL_ANGLE:
             supporting = [support_mask(each, matches) for each in (pose, other)]
@@ -149,10 +147,8 @@ def _rival(pose: Pose, others: Sequence[Pose], matches: Matches, verticals: Vert
 
 
 def _is_planar(pose: Pose, matches: Matches, verticals: Verticals | None) -> bool:
-    """Whether one plane is all that supports a pose: a floor or wall with a pattern that other places have as well.
-
-    It leaves two poses: Longuet-Higgins, The reconstruction of a plane surface from two perspective projections, 1986.
-    """
+    """Whether one plane is all that supports a pose: a floor or wall with a pattern that other places have as well."""
+    # it leaves two poses: Longuet-Higgins, The reconstruction of a plane surface from two perspective projections, 1986
     scale = matches.tolerance
     turned = matches.second @ pose.rotation.T
     parallax = np.linalg.norm(np.cross(matches.first, turned), axis=1)
@@ -236,12 +232,10 @@ def _log_binomial(n: int, k: int) -> float:
 
 
 def _likely_poses(matches: Matches, known: Sequence[Pose], verticals: Verticals | None) -> list[Pose]:
-    """The pose that is least likely by chance, and others that may be none.
-
-    Floors of equal tiles mislead where all matches weigh the same, so crowds weigh less. But all that a corridor shows
-    is crowded around its two ends: if the first pose is not clear, others are looked for without weights.
-    """
+    """The pose that is least likely by chance, and others that may be none."""
     poses: list[tuple[float, Pose]] = []
+    # Floors of equal tiles mislead where all matches weigh the same, so crowds weigh less. But all that a corridor
+    # shows is crowded around its two ends: if the first pose is not clear, others are looked for without weights.
     for weight in (_crowd_weight(matches), np.ones(len(matches))):
         found = _candidates(matches, () if poses else known, weight, verticals)
         poses += [(log_false_alarms(pose, matches, verticals), pose) for pose in found]

@@ -122,12 +122,10 @@ def register_pair(first: Scan, second: Scan) -> tuple[Estimate | None, Matches]:
 def _with_right_direction(
     first: Scan, second: Scan, estimate: Estimate | None, matches: Matches, verticals: Verticals | None
 ) -> Estimate | None:
-    """The estimate; that of its rival where the pictures agree better with it, or None without one.
-
-    Repeated things match their neighbours, which are displaced the other way. A rival that fits as well stays one.
-    """
+    """The estimate; that of its rival where the pictures agree better with it, or None without one."""
     if estimate is None or estimate.have_same_position:
         return estimate
+    # repeated things match their neighbours, which are displaced the other way; a rival that fits as well stays one
     pose = estimate.first_from_second
     rival = estimate.rival or _opposite_rival(pose, estimate.inliers, matches, verticals)
     if rival is None:

@@ -85,7 +85,11 @@ class Caster:
             is_hit = found >= 0
             if not is_hit.all():
                 left, found, origin, direction = left[is_hit], found[is_hit], origin[is_hit], direction[is_hit]
-            along = np.maximum(self._plane_distances(found, origin, direction), passed[left])
+            normal = self.normals[found]
+            slope = np.einsum("ij,ij->i", direction, normal)
+            slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
+            to_plane = np.abs((self._offset[found] - np.einsum("ij,ij->i", origin, normal)) / slope)
+            along = np.maximum(to_plane, passed[left])
             face[left], distance[left] = found, along
             open_rows = np.flatnonzero(self._perforated[found]) if layer < LAYERS - 1 else np.empty(0, np.int64)
             points = origin[open_rows] + direction[open_rows] * along[open_rows, None]
@@ -102,12 +106,6 @@ class Caster:
         normals = self.normals[hits.face]
         is_behind = np.einsum("ij,ij->i", normals, hits.directions) > 0
         return np.asarray(np.where(is_behind[:, None], -normals, normals))
-
-    def _plane_distances(self, face: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        normal = self.normals[face]
-        slope = np.einsum("ij,ij->i", directions, normal)
-        slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
-        return np.asarray(np.abs((self._offset[face] - np.einsum("ij,ij->i", origins, normal)) / slope))
 
     def barycentric(self, face: Int64[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Weights of the three vertices at points of faces."""

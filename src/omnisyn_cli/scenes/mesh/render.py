@@ -198,7 +198,9 @@ class MeshScene:
             own = np.flatnonzero(~((apart < SAME_SURFACE * seen.distance) & (aligned > SAME_NORMAL)))  # and where NaN
             shared[own] = self.light(seen.only(own))
             colours = self.lighting.background(hits.directions)
-            colours[rays] = developed(self.colours.at(seen, pixel) ** 2 * shared, self.exposure)
+            x = np.sqrt(self.colours.at(seen, pixel) ** 2 * shared * self.exposure)
+            rolled = SHOULDER + (1.0 - SHOULDER) * (1.0 - np.exp(-(x - SHOULDER) / (1.0 - SHOULDER)))
+            colours[rays] = np.where(x < SHOULDER, x, rolled)
             return colours
 
         return shade
@@ -221,9 +223,3 @@ def render_mesh(
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
     """:func:`render` of a mesh."""
     return render(scene.caster, scene.shader, pose, size, supersample)
-
-
-def developed(light: Float[np.ndarray, "*shape"], exposure: float) -> Float[np.ndarray, "*shape"]:
-    """Light as it is in a picture: the square root, with a soft shoulder."""
-    x = np.sqrt(light * exposure)
-    return np.where(x < SHOULDER, x, SHOULDER + (1.0 - SHOULDER) * (1.0 - np.exp(-(x - SHOULDER) / (1.0 - SHOULDER))))
