@@ -13,8 +13,7 @@ import pytest
 from batch_samples import contents, line, records, write_lines, write_row
 
 import omnisyn_cli
-from omnisyn_cli.batch.executor import Work
-from omnisyn_cli.batch.ray_executor import RayExecutor
+from omnisyn_cli.batch.executor import RayExecutor, Work
 from omnisyn_cli.errors import InputError
 
 pytest.importorskip("ray", reason="Ray is not installed (omnisyn-cli[ray])")

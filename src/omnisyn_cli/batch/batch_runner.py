@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from omnisyn_cli import __version__
 from omnisyn_cli.batch import folder as folders
-from omnisyn_cli.batch.executor import Executor, Job, LocalExecutor, Outcome, Work, run_jobs
+from omnisyn_cli.batch.executor import Executor, Job, LocalExecutor, Outcome, RayExecutor, Work, run_jobs
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
@@ -118,8 +118,6 @@ def run_batch(
 def make_executor(place: tuple[Path, str], options: BatchOptions, jobs: int) -> Executor:
     """At most one worker per job; ``place`` is the folder, and the hidden one in it. InputError: Ray is missing."""
     if options.engine == "ray":
-        from omnisyn_cli.batch.ray_executor import RayExecutor
-
         threads = options.threads or 1
         work = Work(INTERPOLATOR, (*place, threads))
         return RayExecutor(work, options.workers, threads, options.gpus, options.ray_address)
