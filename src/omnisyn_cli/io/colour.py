@@ -83,7 +83,11 @@ def view_transform(light: Float[np.ndarray, "*pixels"]) -> Float[np.ndarray, "*p
 def parse_profile(data: bytes) -> ColourProfile | None:
     """The profile of an RGB device with curves and a matrix; None for all others, sRGB itself and broken ones."""
     try:
-        tags = _tags(data)
+        (count,) = struct.unpack_from(">I", data, 128)
+        if count > MAX_TAGS:
+            return None
+        places = (struct.unpack_from(">4sII", data, 132 + 12 * k) for k in range(count))
+        tags = {name: data[offset : offset + size] for name, offset, size in places}
         columns = [struct.unpack_from(">3i", tags[name], 8) for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
         red, green, blue = (_curve(tags[name]) for name in (b"rTRC", b"gTRC", b"bTRC"))
     except (KeyError, struct.error, ValueError, IndexError):
@@ -91,14 +95,6 @@ def parse_profile(data: bytes) -> ColourProfile | None:
     profile = ColourProfile((red, green, blue), SRGB_FROM_PCS @ (np.array(columns).T / 65536.0))
     with np.errstate(all="ignore"):
         return profile if data[16:20] == b"RGB " and profile.changes_colours else None
-
-
-def _tags(data: bytes) -> dict[bytes, bytes]:
-    (count,) = struct.unpack_from(">I", data, 128)
-    if count > MAX_TAGS:
-        raise ValueError(count)
-    places = (struct.unpack_from(">4sII", data, 132 + 12 * k) for k in range(count))
-    return {name: data[offset : offset + size] for name, offset, size in places}
 
 
 def _curve(tag: bytes) -> Curve:

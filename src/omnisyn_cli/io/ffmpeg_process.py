@@ -53,7 +53,10 @@ class EncoderProcess:
         self._words: deque[str] = deque(maxlen=MAX_STDERR_LINES)
         self._process = self._started(command)
         self._stdin: IO[bytes] = self._process.stdin  # type: ignore[assignment]  # a pipe was asked for
-        _widen(self._stdin)
+        with suppress(ImportError, AttributeError, OSError):  # only Linux lets us, and it may allow less
+            import fcntl
+
+            fcntl.fcntl(self._stdin.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         # A session of its own keeps Ctrl-C from reaching ffmpeg before us. stderr is drained all the time: a full pipe
         # would stop ffmpeg for ever.
         self._listener = threading.Thread(target=self._listen, daemon=True, name="ffmpeg-stderr")
@@ -144,13 +147,6 @@ class EncoderProcess:
             with suppress(OSError):  # closing flushes; to a dead process that fails and does not matter
                 if pipe is not None:
                     pipe.close()
-
-
-def _widen(pipe: IO[bytes]) -> None:
-    with suppress(ImportError, AttributeError, OSError):  # only Linux lets us, and it may allow less
-        import fcntl
-
-        fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
 def run_ffmpeg(path: Path, *options: str, seconds: float | None = None) -> tuple[bytes, str, bool]:

@@ -188,8 +188,8 @@ def estimate_poses(
     too few matches, or no floor.
     """
     check_images(images, may_repeat=False)
-    if len(baselines) not in (0, 1, pairs := len(images) - 1):
-        raise InputError(f"expected one baseline, or one for each of {pairs} pairs, got {len(baselines)}; name as many")
+    if len(baselines) not in (0, 1, count := len(images) - 1):
+        raise InputError(f"expected one baseline, or one for each of {count} pairs, got {len(baselines)}; name as many")
     if not all(np.isfinite(length) and length > 0 for length in baselines):
         raise InputError(f"expected baselines above 0 m, got {', '.join(map(str, baselines))}; measure them")
     given = {(k, k + 1): length for k, length in enumerate(baselines)} if len(baselines) > 1 else {}
@@ -234,7 +234,13 @@ def solve_pose_graph(
     edges = pose_graph.consistent_edges(matched, rotations)
     placed = pose_graph.placed_panoramas(edges, len(images))
     if len(placed) < 2 or (must_place_all and len(placed) < len(images)):
-        raise _unplaced(images, placed, unused, _partial_notes(images, scans))
+        pair = next(pair for pair in unused if len(placed) < 2 or not set(pair) <= set(placed))
+        (reason, number), names = unused[pair], " and ".join(str(images[k]) for k in pair)
+        remedies = [*_partial_notes(images, scans), "give their poses in a file, or take a panorama between them"]
+        raise PoseError(
+            f"{names}: expected more matches that agree with a pose than by chance, got {reason.value.format(number)}; "
+            f"{'; '.join(remedies)}"
+        )
     rotations = {k: rotations[k] for k in placed}
     edges = pose_graph.agreeing_edges(
         [edge for edge in edges if edge.first in placed], rotations, is_ordered=is_ordered
@@ -296,16 +302,6 @@ def _attitude_notes(images: Sequence[Path], scans: Sequence[Scan], world: Mappin
         for k, image in enumerate(images)
         if held[k].attitude in REMEDIES and zeniths.get(k, most) @ most > MIN_ZENITH_AGREEMENT
     ]
-
-
-def _unplaced(images: Sequence[Path], placed: Sequence[int], unused: Unused, notes: Sequence[str]) -> PoseError:
-    pair = next(pair for pair in unused if len(placed) < 2 or not set(pair) <= set(placed))
-    (reason, count), (first, second) = unused[pair], (images[k] for k in pair)
-    why = reason.value.format(count)
-    return PoseError(
-        f"{first} and {second}: expected more matches that agree with a pose than by chance, got {why}; "
-        f"{'; '.join([*notes, 'give their poses in a file, or take a panorama between them'])}"
-    )
 
 
 def _levelled(world: Mapping[int, Pose], scans: Sequence[Scan]) -> tuple[dict[int, Pose], str]:

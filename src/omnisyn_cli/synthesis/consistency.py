@@ -68,7 +68,13 @@ def cross_check(
     curve = estimate_curve(*(np.concatenate(values) for values in zip(*_common_samples(crossed), strict=True)))
     match_exposure = ExposureMatcher(curve)
     matched = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)[::-1]
-    half_way = match_exposure(*_render_half_way(small_views, renderers), 0.5)
+    first, second = (view.pose for view in small_views)
+    pose = Pose(slerp(first.rotation, second.rotation, 0.5), 0.5 * (first.position + second.position))
+    first_layer, second_layer = (
+        _render_copy(renderer, pose.inverse() @ view.pose)
+        for view, renderer in zip(small_views, renderers, strict=True)
+    )
+    half_way = match_exposure(first_layer, second_layer, 0.5)
     return CrossCheck(curve, assess_pair(matched, half_way), matched)
 
 
@@ -141,17 +147,6 @@ def _render_copy(renderer: Renderer, target_from_source: Pose) -> Layer:
     """A rendered layer in memory of its own: the renderer's next call reuses its buffers."""
     layer = renderer(target_from_source)
     return Layer.from_arrays(layer.inverse_depth.copy(), layer.colour, target_from_source)
-
-
-def _render_half_way(small_views: tuple[View, View], renderers: list[Renderer]) -> tuple[Layer, Layer]:
-    """Both views' surfaces rendered half way between their poses."""
-    first, second = (view.pose for view in small_views)
-    pose = Pose(slerp(first.rotation, second.rotation, 0.5), 0.5 * (first.position + second.position))
-    first_layer, second_layer = (
-        _render_copy(renderer, pose.inverse() @ view.pose)
-        for view, renderer in zip(small_views, renderers, strict=True)
-    )
-    return first_layer, second_layer
 
 
 def _common_samples(crossed: list[tuple[Layer, Layer]]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -71,8 +71,15 @@ def flying_pixels(
 def _true_range(pose: Pose, views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray]:
     """The least and the greatest true inverse depth around every cell of a frame, 1/metre."""
     least, greatest = np.full(CELL_GRID_SIZE, np.inf), np.full(CELL_GRID_SIZE, -1.0)
+    directions = pixel_directions(*DEPTH_GRID_SIZE)
     for view in views:
-        cells, inverse_depth = _carried(pose, view)
+        if view.known_depth is None:
+            raise ValueError("expected views with known depth, got one without; leave flying pixels out")
+        is_known = sample_nearest(view.known_depth.confidence, directions) > 0
+        inverse_depth = sample_nearest(view.known_depth.inverse_depth, directions)[is_known].astype(np.float64)
+        rays = sweep_directions(directions[is_known], inverse_depth, pose.inverse() @ view.pose)
+        cells = _pixels_of(rays, CELL_GRID_SIZE)  # of the frame, that the true depth of the view falls into
+        inverse_depth /= np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
         np.minimum.at(least, cells, inverse_depth)
         np.maximum.at(greatest, cells, inverse_depth)
     around = np.ones((3, 3), np.uint8)
@@ -82,17 +89,6 @@ def _true_range(pose: Pose, views: tuple[View, View]) -> tuple[np.ndarray, np.nd
     )
     is_known = greatest >= 0.0
     return np.where(is_known, least, 0.0), np.where(is_known, greatest, 1.0 / SCORED_DEPTH[0])
-
-
-def _carried(pose: Pose, view: View) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Cells of a frame that the true depth of a view falls into, and its inverse depth from there."""
-    if view.known_depth is None:
-        raise ValueError("expected views with known depth, got one without; leave flying pixels out")
-    directions = pixel_directions(*DEPTH_GRID_SIZE)
-    is_known = sample_nearest(view.known_depth.confidence, directions) > 0
-    inverse_depth = sample_nearest(view.known_depth.inverse_depth, directions)[is_known].astype(np.float64)
-    rays = sweep_directions(directions[is_known], inverse_depth, pose.inverse() @ view.pose)
-    return _pixels_of(rays, CELL_GRID_SIZE), inverse_depth / np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
 
 
 def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " count"]:

@@ -125,7 +125,15 @@ def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
         preset, note = choose_preset(plan, table, budget)
         plan = with_preset(plan, preset)
     else:
-        note = _without_choice(expected_duration(plan, table), budget)
+        expected = expected_duration(plan, table)
+        if expected is None:
+            raise InputError(
+                "expected a renderer and a fusion that were measured with a budget, got others; leave it out"
+            )
+        note = (
+            f"depth comes from files, so presets make no difference: expected to take {expected.words}, "
+            f"{'within' if expected.seconds <= budget else 'more than'} the budget of {budget:g} s"
+        )
     return replace(plan, notes=(*plan.notes, note))
 
 
@@ -146,16 +154,6 @@ def _check_measured(plan: InterpolationPlan) -> None:
                 f"expected {default} with a budget, got {given!r}, with which presets were not compared; leave one of "
                 "them out"
             )
-
-
-def _without_choice(expected: Duration | None, budget: float) -> str:
-    if expected is None:
-        raise InputError("expected a renderer and a fusion that were measured with a budget, got others; leave it out")
-    verdict = "within" if expected.seconds <= budget else "more than"
-    return (
-        f"depth comes from files, so presets make no difference: expected to take {expected.words}, {verdict} the "
-        f"budget of {budget:g} s"
-    )
 
 
 def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> tuple[str, str]:

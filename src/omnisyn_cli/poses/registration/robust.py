@@ -198,7 +198,10 @@ def log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None) 
     are paired at random: more often where features and baseline lie near the horizon. Source: Moisan and Stival, A
     probabilistic criterion to detect rigid point matches between two images and estimate the fundamental matrix, 2004.
     """
-    sample, solutions = _motion_kind(pose, verticals)
+    sample, solutions = GENERAL_MOTION
+    if verticals is not None and angle_between(verticals.first, pose.rotation @ verticals.second) <= MAX_VERTICAL_ERROR:
+        # the kind of motion with the fewest matches that the pose may be
+        sample, solutions = PLANAR_MOTION if abs(pose.position @ verticals.first) < MAX_CLIMB_SINE else UPRIGHT_MOTION
     residual = np.where(support_mask(pose, matches), np.abs(epipolar_residual(pose, matches)), math.inf)
     some = matches.select(np.arange(0, len(matches), max(1, len(matches) // CHANCE_SAMPLES)))
     first, second = np.nonzero(~np.eye(len(some), dtype=bool))
@@ -213,13 +216,6 @@ def log_false_alarms(pose: Pose, matches: Matches, verticals: Verticals | None) 
     log_tests = math.log10(solutions * max(count - sample, 1) * len(SPREADS))
     is_contradiction = verticals is not None and verticals.are_certain and (sample, solutions) == GENERAL_MOTION
     return min(logs) + log_tests + LOG_TESTS_WITHOUT_GRAVITY * is_contradiction
-
-
-def _motion_kind(pose: Pose, verticals: Verticals | None) -> tuple[int, int]:
-    """The kind of motion with the fewest matches that a pose may be."""
-    if verticals is None or angle_between(verticals.first, pose.rotation @ verticals.second) > MAX_VERTICAL_ERROR:
-        return GENERAL_MOTION
-    return PLANAR_MOTION if abs(pose.position @ verticals.first) < MAX_CLIMB_SINE else UPRIGHT_MOTION
 
 
 def _count_distinct(matches: Matches) -> int:
