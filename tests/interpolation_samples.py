@@ -1,6 +1,7 @@
 """A chain of panoramas in the hall of :mod:`synthesis_samples`, and jobs about it."""
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ import pytest
 
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
+from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from synthesis_samples import posed
 
@@ -62,6 +64,16 @@ def edit_poses(folder: Path, change: Callable[[dict[str, Any]], object]) -> None
     document = json.loads((folder / "poses.json").read_text())
     change(document["panoramas"])
     (folder / "poses.json").write_text(json.dumps(document))
+
+
+def ffmpeg(*arguments: object) -> subprocess.CompletedProcess[bytes]:
+    """What the ffmpeg of the program does and says."""
+    command = [ffmpeg_program(), "-hide_banner", "-y", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, check=False)
+
+
+def described_by_ffmpeg(path: Path) -> str:
+    return ffmpeg("-i", f"file:{path}").stderr.decode()
 
 
 def use_ffmpeg(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str, encoder: str = "libx264") -> None:

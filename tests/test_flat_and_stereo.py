@@ -1,14 +1,13 @@
 """``--view flat`` and ``--stereo top-bottom`` as users have them: sizes, directions, metadata, what does not fit."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
-from interpolation_samples import Hall
+from interpolation_samples import Hall, described_by_ffmpeg
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import rotation_from_heading
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -17,7 +16,6 @@ from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_header, read_spherical
 from omnisyn_cli.io.decode import decode_image
-from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.synthesis.trajectory import plan_path
 from synthesis_samples import posed
 
@@ -25,11 +23,6 @@ from synthesis_samples import posed
 @pytest.fixture
 def images(tmp_path: Path) -> list[Path]:
     return write_pair(tmp_path)
-
-
-def described_by_ffmpeg(path: Path) -> str:
-    command = [ffmpeg_program(), "-hide_banner", "-i", str(path)]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stderr
 
 
 def test_a_flat_video_is_of_16_to_9_and_says_nothing_of_a_sphere(tmp_path, images, omnisyn: Omnisyn) -> None:
@@ -59,13 +52,8 @@ def test_flat_frames_begin_and_end_with_the_photographs(tmp_path: Path, images: 
     rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
     expected = 0.5 + 0.4 * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     for number in (0, 2):
-        image = read_image(tmp_path / "out" / f"{number:06d}.{codec}")
-        np.testing.assert_allclose(image, expected, atol=0.02)
-
-
-def read_image(path: Path) -> np.ndarray:
-    samples = decode_image(path)[1]
-    return samples / (255.0 if samples.dtype == np.uint8 else 1.0)
+        samples = decode_image(tmp_path / "out" / f"{number:06d}.{codec}")[1]
+        np.testing.assert_allclose(samples / (255.0 if samples.dtype == np.uint8 else 1.0), expected, atol=0.02)
 
 
 def test_looks(tmp_path: Path) -> None:

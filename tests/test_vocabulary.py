@@ -8,9 +8,11 @@ import io
 import re
 import tokenize
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+
+import pytest
 
 import omnisyn_cli
 
@@ -205,11 +207,6 @@ def unexplained_constants() -> tuple[list[str], int]:
     return offenders, count
 
 
-def shared_file_names() -> list[str]:
-    names = Counter(path.name for path in sources() if not path.name.startswith("__"))
-    return sorted(name for name, count in names.items() if count > 1)
-
-
 def decorator_of(node: ast.expr) -> str:
     function = node.func if isinstance(node, ast.Call) else node
     return function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
@@ -229,26 +226,18 @@ def fail_with(offenders: list[str]) -> str:
     return "\n".join([f"{len(offenders)}:", *offenders])
 
 
-def test_names_are_the_terms_of_the_field() -> None:
-    offenders = list(private_names())
-    assert not offenders, fail_with(offenders)
-
-
-def test_constants_are_nouns() -> None:
-    offenders = list(bare_constants())
+@pytest.mark.parametrize("rule", [private_names, bare_constants, unexplained_kernels])
+def test_names_are_terms_constants_are_nouns_and_kernels_are_explained(rule: Callable[[], Iterator[str]]) -> None:
+    offenders = list(rule())
     assert not offenders, fail_with(offenders)
 
 
 def test_few_files_share_a_name() -> None:
-    names = shared_file_names()
+    counts = Counter(path.name for path in sources() if not path.name.startswith("__"))
+    names = sorted(name for name, count in counts.items() if count > 1)
     assert len(names) <= MAX_SHARED_FILE_NAMES, names
 
 
 def test_constants_say_where_they_come_from() -> None:
     offenders, count = unexplained_constants()
     assert len(offenders) <= (1.0 - MIN_EXPLAINED_SHARE) * count, fail_with(offenders)
-
-
-def test_kernels_of_many_parameters_explain_them() -> None:
-    offenders = list(unexplained_kernels())
-    assert not offenders, fail_with(offenders)

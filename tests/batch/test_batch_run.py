@@ -161,25 +161,22 @@ def test_a_second_run_does_nothing(tmp_path):
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "out").rglob("*")} == before
 
 
-def change_picture(folder: Path) -> None:
-    write_image(folder / "p2.png", np.zeros((*SIZE, 3), np.uint8))
-
-
-def change_depth(folder: Path) -> None:
-    (folder / "depth2.exr").write_bytes((folder / "depth0.exr").read_bytes()[:-1] + b"\0")
-
-
 def change_pose(folder: Path) -> None:
     entries = dict(read_poses(folder / "poses.json").panoramas)
     entries["p2.png"] = replace(entries["p2.png"], pose=Pose(np.eye(3), np.array([0.0, 0.0, -2.5])))
     write_poses(folder / "poses.json", entries)
 
 
-def change_output(folder: Path) -> None:
-    (folder / "out" / "1-2" / "000001.png").unlink()
+CHANGES = {
+    "picture": lambda folder: write_image(folder / "p2.png", np.zeros((*SIZE, 3), np.uint8)),
+    "depth": lambda folder: (folder / "depth2.exr").write_bytes((folder / "depth0.exr").read_bytes()[:-1] + b"\0"),
+    "pose": change_pose,
+    "output": lambda folder: (folder / "out" / "1-2" / "000001.png").unlink(),
+    "option": None,
+}
 
 
-@pytest.mark.parametrize("change", [change_picture, change_depth, change_pose, change_output, None])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_only_what_changed_is_done_again(tmp_path, change):
     """A picture, a depth file, a pose, an output that went away, and an option (None)."""
     write_row(tmp_path, 3)

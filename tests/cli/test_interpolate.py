@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -15,10 +14,9 @@ import numpy as np
 import pytest
 
 from cli.cli_samples import SIZE, STAGE_LINE, Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
-from interpolation_samples import edit_poses, use_ffmpeg
+from interpolation_samples import described_by_ffmpeg, edit_poses, use_ffmpeg
 from omnisyn_cli.cli import progress
 from omnisyn_cli.io import open_video, read_spherical, write_image
-from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from process_limits import file_size_limit
 
@@ -109,13 +107,7 @@ def as_jpeg(folder: Path) -> list[Path]:
     return [folder / "a.png", image]
 
 
-def rename_pose(folder: Path) -> None:
-    edit_poses(folder, lambda panoramas: panoramas.update({"bb.png": panoramas.pop("b.png")}))
-
-
-def scale_matrix(folder: Path) -> None:
-    scaled = {"position": [0, 0, -1], "matrix": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}
-    edit_poses(folder, lambda panoramas: panoramas.update({"b.png": scaled}))
+SCALED = {"position": [0, 0, -1], "matrix": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}
 
 
 def undefined_pose(folder: Path) -> None:
@@ -133,8 +125,12 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], list[str]]] = {
         lambda folder: write_image(folder / "b.png", np.zeros((32, 32, 3), np.uint8)),
         ["b.png", "twice as wide as high, got 32×32"],
     ),
-    "no pose": (rename_pose, ["expected an entry for 'b.png'", "did you mean 'bb.png'?"]),
-    "not rigid": (scale_matrix, ["'b.png'.matrix: expected a rigid rotation", "remove scale and shear"]),
+    "no pose": (
+        lambda folder: edit_poses(folder, lambda all_: all_.update({"bb.png": all_.pop("b.png")})),
+        ["expected an entry for 'b.png'", "did you mean 'bb.png'?"],
+    ),
+    "not rigid": (lambda folder: edit_poses(folder, lambda all_: all_.update({"b.png": SCALED})),
+                  ["'b.png'.matrix: expected a rigid rotation", "remove scale and shear"]),
     "NaN pose": (undefined_pose, ["poses.json: expected finite numbers, got NaN"]),
     "no JSON": (lambda folder: (folder / "poses.json").write_text("{"), ["poses.json: expected JSON"]),
     "missing poses": (lambda folder: (folder / "poses.json").unlink(), ["poses.json: expected a pose file"]),
@@ -210,9 +206,7 @@ def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, omnisyn: 
     for crf, profile in ((0, "High 4:4:4 Predictive"), (1, "High")):
         with open_video(tmp_path / f"{crf}.mp4", size=(32, 64), fps=25, crf=crf) as sink:
             sink.write(np.full((32, 64, 3), 9, np.uint8))
-        command = [ffmpeg_program(), "-hide_banner", "-i", str(tmp_path / f"{crf}.mp4")]
-        report = subprocess.run(command, capture_output=True, text=True, check=False).stderr
-        assert f"h264 ({profile})" in report
+        assert f"h264 ({profile})" in described_by_ffmpeg(tmp_path / f"{crf}.mp4")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """``interpolate --audio`` and ``omnisyn tag``: sound as long as the video, metadata without another byte changed."""
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +7,9 @@ import PIL.Image
 import pytest
 
 from cli.cli_samples import Omnisyn, pair_arguments, write_pair
+from interpolation_samples import ffmpeg
 from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.io import read_spherical
-from omnisyn_cli.io.encoders import ffmpeg_program
-
-
-def ffmpeg(*arguments: object) -> subprocess.CompletedProcess[bytes]:
-    command = [ffmpeg_program(), "-hide_banner", "-y", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, check=False)
 
 
 def sound(path: Path, seconds: float) -> Path:

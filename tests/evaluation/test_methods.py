@@ -157,13 +157,21 @@ def test_parameters_change_what_they_name(hall):
     assert score("oracle-depth:metres=2", hall) == pytest.approx(finest, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["nosuch", "crossfade:cut=0.1", "matching:cut=0", "matching:cut=2", "matching:metres=-1", "matching:depth=5x5",
-     "matching:depth=x", "matching:cut", "matching:speed=1", "matching:cut=0.1:x", ""],
-)  # fmt: skip
-def test_names_that_mean_nothing_are_refused(name):
-    with pytest.raises(InputError, match="expected"):
+REFUSED = {
+    "expected": ("nosuch", "crossfade:cut=0.1", "matching:cut=0", "matching:cut=2", "matching:metres=-1",
+                 "matching:depth=5x5", "matching:depth=x", "matching:cut", "matching:speed=1", "matching:cut=0.1:x",
+                 ""),
+    "got both in 'oracle-depth:views=1:fusion=network'": ("oracle-depth:views=1:fusion=network",),
+    "fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, fallback=soft": tuple(
+        f"oracle-depth:{parameter}" for parameter in
+        ("fusion=mean", "fusion=", "model=none", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1")
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "name"), [(words, name) for words, names in REFUSED.items() for name in names])
+def test_names_that_mean_nothing_are_refused(words, name):
+    with pytest.raises(InputError, match=words):
         find_method(name)
 
 
@@ -228,20 +236,18 @@ def test_a_renderer_can_be_chosen_for_any_method(hall, renderer):
     np.testing.assert_array_equal(images(f"oracle-depth:renderer={renderer}", hall), expected)
 
 
-def test_the_network_fuses_what_the_views_contradict(hall):
-    """With wrong depth the views contradict each other; then the pictures are those of the product's fuser."""
-    views = misled(hall.views[0], 1.5), hall.views[1]
-    corrected = images("oracle-depth:fusion=network", hall, *views)
-    np.testing.assert_array_equal(corrected, of_product(hall, views, "network"))
-    assert np.abs(corrected - images("oracle-depth", hall, *views)).max() > 0.01
-
-
-@pytest.mark.parametrize(("fallback", "options"), [("soft", {"soften": True}), ("crossfade", {"cross_fade": True})])
-def test_pairs_of_low_confidence_get_what_the_product_gives_them(hall, fallback, options):
-    views = misled(hall.views[0], 4.0), hall.views[1]
-    found = images(f"oracle-depth:fallback={fallback}", hall, *views)
+@pytest.mark.parametrize(
+    ("factor", "parameter", "options", "plain", "change"),
+    [(1.5, ":fusion=network", {"fusion": "network"}, "", 0.01),
+     (4.0, ":fallback=soft", {"soften": True}, ":fallback=none", 0.1),
+     (4.0, ":fallback=crossfade", {"cross_fade": True}, ":fallback=none", 0.1)],
+)  # fmt: skip
+def test_what_the_views_contradict_is_what_the_product_makes_of_it(hall, factor, parameter, options, plain, change):
+    """With wrong depth the views contradict each other, and if it is far wrong, their confidence is low."""
+    views = misled(hall.views[0], factor), hall.views[1]
+    found = images(f"oracle-depth{parameter}", hall, *views)
     np.testing.assert_array_equal(found, of_product(hall, views, **options))
-    assert np.abs(found - images("oracle-depth:fallback=none", hall, *views)).max() > 0.1
+    assert np.abs(found - images(f"oracle-depth{plain}", hall, *views)).max() > change
 
 
 def test_what_moves_with_the_camera_is_not_seen_if_it_is_left_out(hall):
@@ -297,18 +303,3 @@ def test_a_simulated_prior_knows_the_truth_up_to_its_error(hall):
 def test_a_prior_can_be_chosen(parameter, prior, kind):
     depth = find_method(f"omnisyn-balanced:{parameter}").config.depth
     assert (depth.prior, depth.prior_kind) == (prior, kind)
-
-
-def test_one_view_is_not_fused():
-    with pytest.raises(InputError, match="got both in 'oracle-depth:views=1:fusion=network'"):
-        find_method("oracle-depth:views=1:fusion=network")
-
-
-@pytest.mark.parametrize(
-    "parameter", ["fusion=mean", "fusion=", "model=none", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
-)
-def test_what_is_no_parameter_is_refused(parameter):
-    with pytest.raises(
-        InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, fallback=soft"
-    ):
-        find_method(f"oracle-depth:{parameter}")

@@ -42,10 +42,6 @@ def pose_of(name: str) -> Pose:
     return Pose(rotation_from_heading(*np.radians(angles)), np.array(position))
 
 
-def neighbours_of(name: str) -> list[str]:
-    return [(b if a == name else a) for a, b in LINKS if name in (a, b)]
-
-
 def painted(name: str) -> np.ndarray:
     """A panorama: grey stripes of the sky, discs for landmarks and neighbours."""
     pose = pose_of(name)
@@ -53,7 +49,7 @@ def painted(name: str) -> np.ndarray:
     image = np.repeat((90 + 40 * np.sign(np.sin(9 * world[..., 1:2]))), 3, axis=-1)
     for colour, place in LANDMARKS.values():
         image[world @ direction_of(*place) > np.cos(LANDMARK_RADIUS)] = colour
-    for other in neighbours_of(name):
+    for other in (b if a == name else a for a, b in LINKS if name in (a, b)):
         towards = normalize(pose_of(other).position - pose.position)
         image[world @ towards > np.cos(NEIGHBOUR_RADIUS)] = NEIGHBOUR
     return image.astype(np.uint8)

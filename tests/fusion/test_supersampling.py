@@ -245,17 +245,13 @@ def test_behind_and_around_a_ball_kinds_are_those_of_geometry() -> None:
         for kind, (found, is_there) in enumerate(zip(classify_pixels(*views), expected, strict=True)):
             assert (found != is_there)[inner].mean() < 5e-4, "more than a few grazing quads differ"
             count[kind] += (is_there & inner).sum()
-        outline, beside = _steps(inverse_depth(EYE, DOUBLE)), silhouette_mask(*views)
-        is_shown = np.isclose(np.maximum(*exact), inverse_depth(EYE, DOUBLE), rtol=1e-3)
+        rho, beside = inverse_depth(EYE, DOUBLE), silhouette_mask(*views)
+        outline = borders(PixelClasses(rho > 0.4, rho <= 0.4, *np.zeros((2, *rho.shape), bool)))  # of the ball
+        is_shown = np.isclose(np.maximum(*exact), rho, rtol=1e-3)
         assert beside[outline & ~grown(~is_shown, 1)].mean() > 0.98
         around = grown(borders(expected) | silhouette_mask(*map(rendering, exact)), 2)
         assert around[beside].mean() > 0.9, "a grazing surface has steps of its own"
     assert (count > 20).all(), "a kind is missing"
-
-
-def _steps(rho: np.ndarray) -> np.ndarray:
-    """Both sides of the outline of the ball."""
-    return borders(PixelClasses(*(rho > 0.4, rho <= 0.4), *np.zeros((2, *rho.shape), bool)))
 
 
 def test_every_pixel_is_of_one_kind() -> None:

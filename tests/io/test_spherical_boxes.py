@@ -2,7 +2,6 @@
 
 import contextlib
 import struct
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from interpolation_samples import described_by_ffmpeg, ffmpeg
 from omnisyn_cli.errors import InputError, WriteError
 from omnisyn_cli.io import inject_spherical, open_video, read_spherical
 from omnisyn_cli.io.boxes import Box, serialize, top_level_boxes
-from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.io.spherical import _is_wide
-
-
-def ffmpeg(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [ffmpeg_program(), "-hide_banner", "-y", *map(str, arguments)], capture_output=True, text=True, check=False
-    )
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +44,10 @@ def widened(data: bytes) -> bytes:
     return data[: at - 8] + struct.pack(">I4sQ", 1, b"mdat", size + 8) + data[at + 8 :]
 
 
-def decoded(path: Path) -> str:
+def decoded(path: Path) -> bytes:
     result = ffmpeg("-v", "error", "-i", path, "-f", "framemd5", "-")
     assert result.returncode == 0
-    assert result.stderr == ""
+    assert result.stderr == b""
     return result.stdout
 
 
@@ -71,7 +64,7 @@ def test_tags_go_in_and_the_media_stay_the_same(tmp_path, variants, name):
     assert b"prhd" + bytes(16) in target.read_bytes()  # yaw, pitch and roll are 0
     assert decoded(target) == decoded(source)
     assert [box.kind for box in top_level_boxes(target)][:2] == [b"ftyp", b"moov"]
-    assert "Spherical Mapping: equirectangular" in ffmpeg("-i", f"file:{target}").stderr
+    assert "Spherical Mapping: equirectangular" in described_by_ffmpeg(target)
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -106,18 +99,15 @@ def test_a_file_beyond_4_gib_counts_as_wide(tmp_path):
     assert _is_wide(top_level_boxes(large), Box(b"moov", b""))
 
 
-def test_fragmented_files_are_refused(tmp_path, plain):
-    fragmented = tmp_path / "f.mp4"
-    ffmpeg("-i", plain, "-c", "copy", "-movflags", "frag_keyframe+empty_moov", fragmented)
-    with pytest.raises(InputError, match="fragments"):
-        inject_spherical(fragmented, tmp_path / "out.mp4")
-    assert list(tmp_path.iterdir()) == [fragmented]
-
-
-def test_sound_alone_is_refused(tmp_path, plain):
-    ffmpeg("-i", plain, "-vn", "-c", "copy", tmp_path / "sound.mp4")
-    with pytest.raises(InputError, match="video track"):
-        inject_spherical(tmp_path / "sound.mp4", tmp_path / "out.mp4")
+@pytest.mark.parametrize(
+    ("options", "words"), [(("-movflags", "frag_keyframe+empty_moov"), "fragments"), (("-vn",), "video track")]
+)
+def test_fragmented_files_and_sound_alone_are_refused(tmp_path, plain, options, words):
+    source = tmp_path / "a.mp4"
+    ffmpeg("-i", plain, "-c", "copy", *options, source)
+    with pytest.raises(InputError, match=words):
+        inject_spherical(source, tmp_path / "out.mp4")
+    assert list(tmp_path.iterdir()) == [source]
 
 
 @pytest.mark.parametrize("name", ["moov last", "moov first"])
@@ -154,12 +144,9 @@ def test_hostile_bytes_are_an_input_error_at_once(tmp_path, data):
         read_spherical(tmp_path / "a.mp4")
 
 
-def test_a_missing_file_is_an_input_error(tmp_path):
+def test_a_missing_file_is_an_input_error_and_a_missing_folder_a_write_error(tmp_path, plain):
     with pytest.raises(InputError, match="No such file"):
         inject_spherical(tmp_path / "none.mp4", tmp_path / "out.mp4")
-
-
-def test_a_missing_folder_is_a_write_error(tmp_path, plain):
     with pytest.raises(WriteError):
         inject_spherical(plain, tmp_path / "none" / "out.mp4")
 

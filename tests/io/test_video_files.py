@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from interpolation_samples import described_by_ffmpeg
 from omnisyn_cli.errors import EncodingError, InputError, OmnisynError, OutputPathError, WriteError
 from omnisyn_cli.io import check_output, check_video, open_video, read_panorama
 from omnisyn_cli.io.boxes import children_of
-from omnisyn_cli.io.encoders import CODECS, EncoderSettings, encoder_command, ffmpeg_program
+from omnisyn_cli.io.encoders import CODECS, EncoderSettings, encoder_command
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess, read_frames
 
 PATCHES = np.array(
@@ -26,11 +27,6 @@ FRAME = np.broadcast_to(np.repeat(PATCHES, 32, axis=0), (128, 256, 3))
 KINDS = [("h264", ".mp4", "uint8"), ("h265", ".mp4", "uint8"), ("h265", ".mov", "uint16"), ("av1", ".mp4", "uint8"),
          ("av1", ".mp4", "uint16"), ("prores", ".mov", "uint8"), ("prores", ".mov", "uint16")]  # fmt: skip
 FAST = {"h264": "ultrafast", "h265": "ultrafast", "av1": "12", "prores": "hq"}
-
-
-def report(path: Path) -> str:
-    command = [ffmpeg_program(), "-hide_banner", "-i", f"file:{path}"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stderr
 
 
 def decoded(path: Path) -> np.ndarray:
@@ -49,7 +45,7 @@ def test_colours_survive_within_rounding_and_are_tagged_bt709(tmp_path, codec, s
     shown = decoded(path)
     assert len(shown) == sink.frame_count == 3
     assert np.abs(shown[centres] - FRAME[None].astype(int)[centres]).max() <= 3
-    stream = report(path)
+    stream = described_by_ffmpeg(path)
     assert re.search(r"\(tv, bt709, progressive\), 256x128", stream)
     assert re.search(r"\b25 fps", stream)
     assert "Spherical Mapping: equirectangular" in stream
@@ -88,7 +84,7 @@ def test_frames_keep_their_order_and_count(tmp_path):
             sink.write(np.full((128, 256, 3), level, np.uint8))
     means = decoded(tmp_path / "a.mp4").mean(axis=(1, 2, 3))
     np.testing.assert_allclose(means, np.arange(0, 240, 8), atol=2)
-    assert "29.97 fps" in report(tmp_path / "a.mp4")
+    assert "29.97 fps" in described_by_ffmpeg(tmp_path / "a.mp4")
 
 
 RATES = {
@@ -155,6 +151,10 @@ def write_many(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, count
             sink.write(np.zeros((32, 64, 3), np.uint8))
 
 
+KILL = "import os, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nos.kill(os.getpid(), signal.{})"
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no signals")
+
+
 @pytest.mark.parametrize(
     ("script", "kind", "words"),
     [
@@ -171,26 +171,13 @@ def write_many(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, count
             EncodingError,
             "enough said",
         ),
+        pytest.param(KILL.format("SIGKILL"), EncodingError, "ended by SIGKILL; where memory is short", marks=POSIX),
+        pytest.param(KILL.format("SIGXFSZ"), WriteError, "a limit on files", marks=POSIX),
     ],
 )
 def test_what_an_encoder_says_at_its_end_reaches_the_user(tmp_path, monkeypatch, script, kind, words):
     with pytest.raises(kind, match=words):
         write_many(tmp_path, monkeypatch, f"read = sys.stdin.buffer.read\n{script}")
-    assert not list((tmp_path / "out").iterdir())
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no signals")
-@pytest.mark.parametrize(
-    ("name", "kind", "words"),
-    [
-        ("SIGKILL", EncodingError, "ended by SIGKILL; where memory is short"),
-        ("SIGXFSZ", WriteError, "a limit on files"),
-    ],
-)
-def test_an_encoder_that_is_killed_has_no_last_words(tmp_path, monkeypatch, name, kind, words):
-    script = f"import os, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nos.kill(os.getpid(), signal.{name})"
-    with pytest.raises(kind, match=words):
-        write_many(tmp_path, monkeypatch, script)
     assert not list((tmp_path / "out").iterdir())
 
 
@@ -268,7 +255,7 @@ def test_existing_targets_are_kept_unless_told_otherwise(tmp_path):
         check_output(tmp_path, overwrite=True)
     with open_video(tmp_path / "a.mp4", size=(32, 64), fps=10, overwrite=True) as sink:
         sink.write(np.zeros((32, 64, 3), np.uint8))
-    assert "h264" in report(tmp_path / "a.mp4")
+    assert "h264" in described_by_ffmpeg(tmp_path / "a.mp4")
 
 
 @pytest.mark.parametrize(

@@ -109,21 +109,13 @@ def _inverted(pose: Pose) -> Pose:
     return Pose(pose.rotation.T, -pose.rotation.T @ pose.position)
 
 
-def _opencv(pose: Pose) -> Pose:
-    """Columns of a camera-to-world rotation are the camera's axes in the world: y and z point the other way."""
-    x, y, z = pose.rotation.T
-    return Pose(np.stack([x, -y, -z], axis=1), pose.position)
+def _with_axes(*axes: int) -> Callable[[Pose], Pose]:
+    """Columns of a camera-to-world rotation are the camera's axes in the world: x, y and z are 1, 2 and 3."""
+    return lambda pose: Pose(np.stack([np.sign(k) * pose.rotation[:, abs(k) - 1] for k in axes], 1), pose.position)
 
 
-def _half_turned(pose: Pose) -> Pose:
-    x, y, z = pose.rotation.T
-    return Pose(np.stack([-x, y, -z], axis=1), pose.position)
-
-
-def _z_up_camera(pose: Pose) -> Pose:
-    """Axes x right, y forward, z up."""
-    x, y, z = pose.rotation.T
-    return Pose(np.stack([x, -z, y], axis=1), pose.position)
+_opencv = _with_axes(1, -2, -3)  # y and z point the other way
+_half_turned = _with_axes(-1, 2, -3)
 
 
 def _mirrored(axis: int) -> Callable[[Pose], Pose]:
@@ -160,7 +152,7 @@ MADE: dict[str, Callable[[Pose, Pose], tuple[Pose, Pose]]] = {
     "translation-for-position": _each(lambda pose: Pose(pose.rotation, -pose.rotation.T @ pose.position)),
     "images-swapped": lambda first, second: (second, first), "opencv-axes": _each(_opencv),
     "centre-at-edge": _each(_half_turned), "second-centre-at-edge": lambda first, second: (first, _half_turned(second)),
-    "z-up-camera": _each(_z_up_camera), "mirrored-x": _each(_mirrored(0)), "mirrored-y": _each(_mirrored(1)),
+    "z-up-camera": _each(_with_axes(1, -3, 2)), "mirrored-x": _each(_mirrored(0)), "mirrored-y": _each(_mirrored(1)),
     "mirrored-z": _each(_mirrored(2)),
     "position-yz-swapped": _each(lambda pose: Pose(pose.rotation, pose.position[[0, 2, 1]])),
     "position-x-mirrored": _each(lambda pose: Pose(pose.rotation, pose.position * [-1, 1, 1])),

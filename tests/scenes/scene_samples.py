@@ -11,6 +11,11 @@ from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
 DAY = Lighting(sun_direction=(0.0, 1.0, 0.0), sun=(1.0, 1.0, 1.0), sky=(0.3, 0.3, 0.3), bounce=(0.2, 0.2, 0.2))
 
 
+def make(*arguments: object) -> tuple[object, ...]:
+    """What ``omnisyn`` is called with to make a small scene."""
+    return "scenes", "make", *arguments, "--size", "64x32", "--threads", 1, "-q"
+
+
 def builder(ground: float = -1e6) -> SceneBuilder:
     """A scene with nothing in it, its ground far below."""
     build = SceneBuilder(np.random.default_rng(0), lighting=DAY)

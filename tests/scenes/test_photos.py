@@ -3,7 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from scene_samples import builder
+from scene_samples import builder, make
 
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.geometry.pose import Pose
@@ -211,10 +211,6 @@ def test_far_and_slanting_photographs_do_not_flicker():
     assert np.abs(rough - fine)[far].mean() < 0.03
     assert rough[far].std() < 0.1
     assert fine[85:].std() > 0.15
-
-
-def make(*arguments):
-    return "scenes", "make", *arguments, "--size", "64x32", "--threads", 1, "-q"
 
 
 def test_the_command_makes_scenes_of_a_folder(tmp_path, folder, omnisyn):

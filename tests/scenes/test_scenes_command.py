@@ -6,7 +6,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from scene_samples import clearance
+from scene_samples import clearance, make
 
 from omnisyn_cli.cli.scenes import KINDS
 from omnisyn_cli.evaluation import scene_files as suite_module
@@ -17,10 +17,6 @@ from omnisyn_cli.io import read_depth, read_panorama
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes import GENERATORS, generate_scene, paths
 from omnisyn_cli.scenes.paths import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, longest_path, suite_scenes
-
-
-def make(*arguments):
-    return "scenes", "make", *arguments, "--size", "64x32", "--threads", 1, "-q"
 
 
 def test_a_scene_reads_back(tmp_path, omnisyn):
@@ -184,15 +180,10 @@ def test_the_bytes_are_those_that_were_recorded(tmp_path, walks):
     assert len(read_poses(tmp_path / "poses.json").panoramas) == FRAMES_PER_WALK
 
 
-@pytest.fixture
-def one_seed(monkeypatch):
+def test_the_command_writes_it_and_eval_reads_it(tmp_path, omnisyn, monkeypatch):
     monkeypatch.setattr(suite_module, "SUPERSAMPLE", 1)
     monkeypatch.setattr(paths, "STANDARD_KINDS", ("room",))
     monkeypatch.setattr(paths, "SUITE_SEEDS", SUITE_SEEDS[1:])
-
-
-@pytest.mark.usefixtures("one_seed")
-def test_the_command_writes_it_and_eval_reads_it(tmp_path, omnisyn):
     words = ("scenes", "make", tmp_path / "suite", "--suite", "--size", "32x16", "--threads", 2)
     assert "room-9000002-6m: not made, the scene has no room for 6 m" in omnisyn.made(*words).err
     pairs = [pair for source in find_scenes(tmp_path / "suite") for pair in choose_pairs(None)(source.read())]

@@ -226,15 +226,12 @@ def test_a_fuser_has_the_name_that_it_was_asked_for(models):
         make_fuser("network", FuserSettings(SIZE), model="nothing.onnx")
 
 
-def test_a_fresh_network_makes_the_frames_of_the_geometric_fusion(models):
-    _, plain = frames(make_fuser("geometric", FuserSettings(SIZE, threads=1)))
-    _, same = frames(make_fuser("network", FuserSettings(SIZE, threads=1), model=models["fresh"], device="cpu"))
+def test_a_fresh_network_fuses_geometrically_and_any_leaves_the_photographs_at_both_ends(models):
+    settings = FuserSettings(SIZE, threads=1)
+    _, plain = frames(make_fuser("geometric", settings))
+    _, same = frames(make_fuser("network", settings, model=models["fresh"], device="cpu"))
     np.testing.assert_array_equal(same, plain)
-
-
-def test_any_network_leaves_the_photographs_at_both_ends(models):
-    _, plain = frames(make_fuser("geometric", FuserSettings(SIZE, threads=1)))
-    views, other = frames(make_fuser("network", FuserSettings(SIZE, threads=1), model=models["random"], device="cpu"))
+    views, other = frames(make_fuser("network", settings, model=models["random"], device="cpu"))
     np.testing.assert_array_equal(other[0], views[0].image)
     np.testing.assert_array_equal(other[-1], views[1].image)
     assert np.abs(other - plain)[1:-1].max() > 0.01
