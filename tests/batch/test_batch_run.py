@@ -188,7 +188,10 @@ def test_only_what_changed_is_done_again(tmp_path, change):
     assert len(list((tmp_path / "out" / "1-2").iterdir())) == 3
 
 
-NETWORKS = {"completion-balanced": "completion", "depth-guided": "guided-depth", "fusion-residual": "fusion"}
+NETWORKS = {
+    "completion-balanced": "completion", "depth-guided": "guided-depth", "descriptors": "descriptors",
+    "fusion-residual": "fusion",
+}  # fmt: skip
 
 
 def install(folder: Path, **contents: str) -> None:

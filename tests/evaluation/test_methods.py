@@ -273,10 +273,10 @@ def test_results_of_the_fusion_network_depend_on_it_and_others_do_not():
 
 def test_with_nothing_learned_in_it_the_product_needs_no_network(hall, monkeypatch):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    plain = images("omnisyn-fast:model=none:fusion=geometric", hall)
+    plain = images("omnisyn-fast:model=none:descriptors=none:fusion=geometric", hall)
     assert np.isfinite(plain).all()
     assert plain.std() > 0.05
-    assert find_method("omnisyn-balanced:model=none:prior=none:fusion=geometric").config.networks == ()
+    assert find_method("omnisyn-balanced:model=none:prior=none:descriptors=none:fusion=geometric").config.networks == ()
     with pytest.raises(MethodUnavailableError, match="completion-balanced"):
         images("omnisyn-fast", hall)
 

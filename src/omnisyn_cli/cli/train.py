@@ -54,6 +54,21 @@ def depth(**options: Any) -> None:
 
 
 @train.command()
+@_stage_options("pool", batch=2, rate=6e-4)
+@whole_option("--height", 512, 64, "Rows of the training images: twice those of descriptors.")
+@train_pools.ENCODER
+def descriptors(encoder: Path | None, **options: Any) -> None:
+    """Train the network whose descriptors matching compares in FOLDER, or continue the run there."""
+    from omnisyn_cli.networks.descriptors import DESCRIPTOR_VARIANTS, DescriptorNetwork
+    from omnisyn_cli.networks.efficientnet import from_classifier
+
+    network, weights = DESCRIPTOR_VARIANTS["lite0"], train_pools.encoder_weights(encoder)
+    own = DescriptorNetwork(network).state_dict()
+    known = {f"encoder.{name}": value for name, value in from_classifier(weights).items()} if weights else {}
+    _train(network, "lite0", weights={name: value for name, value in known.items() if name in own}, **options)
+
+
+@train.command()
 @_stage_options("evidence", batch=4, rate=8e-4)
 @defaulted("--variant", "balanced", "Network of a new run.")
 @whole_option("--height", 128, 64, "Rows of the training images: those of the pool, or half of them.")

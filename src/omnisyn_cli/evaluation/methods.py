@@ -243,7 +243,9 @@ PLAIN_PARAMETERS: Mapping[str, Mapping[str, Any]] = {
     "nadir=auto": {"leaves_out_camera_fixed": True},
 }
 # Parameters of refined depth that leave one of its networks out.
-WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {"model=none": {"model": None}, "prior=none": {"prior": None}}
+WITHOUT_NETWORK: Mapping[str, Mapping[str, Any]] = {
+    f"{part}=none": {part: None} for part in ("model", "prior", "descriptors")
+}
 MIN_ROWS = 32  # least height of a network's input, which is halved five times
 # Ablations that are part of ``all``.
 VARIANTS = (

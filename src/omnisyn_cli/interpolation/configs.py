@@ -29,9 +29,10 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     defaults = PRESETS[job.preset].config
     kind = _depth_kind(job, entries, defaults)
     has_default_cut = job.cut is None and job.cut_metres is None
+    descriptors = defaults.depth.descriptors if kind == defaults.depth.kind else None
     is_as_published = job.fallback == "soft" and job.preset in REPRODUCTIONS  # which know nothing of soft surfaces
     return RunConfig(
-        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults), *_prior(job, kind, defaults)),
+        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults), *_prior(job, kind, defaults), descriptors),
         cut=defaults.cut if has_default_cut else job.cut,
         cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
         fallback="none" if is_as_published else job.fallback, device=job.device,

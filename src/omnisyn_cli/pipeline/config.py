@@ -53,7 +53,9 @@ class RunConfig:
 
     def of_known_depth(self) -> RunConfig:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
-        return replace(self, depth=replace(self.depth, kind="file", model=None, prior=None), fusion="geometric")
+        return replace(
+            self, depth=replace(self.depth, kind="file", model=None, prior=None, descriptors=None), fusion="geometric"
+        )
 
     @property
     def method_strategy(self) -> MethodStrategy:

@@ -45,6 +45,7 @@ class DepthSource:
     # out. A file may be a monocular network of the user's, see :mod:`omnisyn_cli.runtime.monocular_session`.
     prior: str | None = None
     prior_kind: str = ""  # what the user says of that, in words
+    descriptors: str | None = None  # likewise of the network that matching compares pixels by, for ``refined``
 
     @property
     def strategy(self) -> DepthStrategy:
@@ -54,7 +55,7 @@ class DepthSource:
     @property
     def networks(self) -> tuple[str, ...]:
         """Those that have a part in it."""
-        return tuple(name for name in (self.model, self.prior) if name is not None)
+        return tuple(name for name in (self.model, self.prior, self.descriptors) if name is not None)
 
     @property
     def has_own_prior(self) -> bool:
@@ -134,14 +135,15 @@ def _make_matching(source: DepthSource, network: Callable[..., Any], threads: in
 
 
 def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
-    from omnisyn_cli.runtime.image_networks import CompletionSession
+    from omnisyn_cli.runtime.image_networks import CompletionSession, DescriptorSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
     refinement = None if source.model is None else CompletionSession(network(source.model))
     prior = None if source.prior is None else _prior(source, partial(network, source.prior, keeps_memory=False))
-    return RefinedDepthEstimator(
-        replace(_make_matching(source, network, threads), prior=prior), refinement, source.rows
-    )
+    name = source.descriptors
+    descriptors = None if name is None else DescriptorSession(network(name, keeps_memory=False))
+    matching = replace(_make_matching(source, network, threads), prior=prior, descriptors=descriptors)
+    return RefinedDepthEstimator(matching, refinement, source.rows)
 
 
 def _prior(source: DepthSource, open_session: Callable[[], Any]) -> PairPrior:
@@ -179,7 +181,7 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
     DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
     DepthStrategy(
         "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, role="completion",
-        model_is_optional=True, network_bytes=820, refining_bytes=400,
+        model_is_optional=True, network_bytes=820, refining_bytes=400, estimation_bytes=295e6,
     ),
     DepthStrategy("network", "a stereo network alone", _make_network, role="depth", network_bytes=3200),
     DepthStrategy(

@@ -31,6 +31,19 @@ class CompletionSession:
         return inverse_depth[:height, :width], confidence[:height, :width]
 
 
+class DescriptorSession:
+    """A picture in, descriptors out; a :class:`omnisyn_cli.stereo.descriptor_costs.DescriptorModel`."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+
+    def __call__(self, image: Channels) -> Float32[np.ndarray, "length rows cols"]:
+        """Of colours in [0, 1]; the size is even."""
+        height, width = image.shape[1:]
+        found = run_network(self._session, {"image": _padded(image)[None]})[0][0]
+        return np.asarray(found[:, : height // 2, : width // 2])
+
+
 class GuidedDepthSession:
     """Two upright panoramas in, depth of the first out; a :class:`omnisyn_cli.stereo.expected_depth.PriorModel`.
 

@@ -14,6 +14,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
 from omnisyn_cli.geometry.tolerances import LEFT_RIGHT_TOLERANCE
 from omnisyn_cli.stereo.costs import cost_volume, is_textured, luminance_of
+from omnisyn_cli.stereo.descriptor_costs import add_to_volume
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, rectify
 from omnisyn_cli.stereo.semi_global import DisparityRange, aggregate_costs, uniqueness_margin, winner_takes_all
 from omnisyn_cli.types import View
@@ -109,6 +110,7 @@ def match_disparities(
     cost = cost_volume(
         pair.first, pair.second, pair.second_usable, disparities, options.colour_weight, options.colour_truncation
     )
+    add_to_volume(cost, pair, disparities)
     if pair.prior is not None:
         pair.prior.add_to(cost, disparities)
     luminance = luminance_of(pair.first)

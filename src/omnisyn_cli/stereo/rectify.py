@@ -22,6 +22,8 @@ from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_angles
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.types import View
 
+Descriptors = Float32[np.ndarray, "height width length"]
+
 # In 1/baselines: nothing nearer than a twentieth of a baseline is a valid match; chosen by eye.
 MAX_INVERSE_DEPTH = 20.0
 
@@ -159,6 +161,8 @@ class RectifiedPair:
     baseline: float  # metres
     # what is expected of both cameras' depth, each in the frame of its own direction; None for nothing
     priors: tuple[DepthPrior, DepthPrior] | None = None
+    # of both images, whose squared distances say how likely two pixels show the same; None: windows are compared
+    descriptors: tuple[Descriptors, Descriptors] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -193,7 +197,11 @@ class RectifiedPair:
             world_from_frame=self.world_from_frame @ HALF_TURN_ABOUT_Z,
             baseline=self.baseline,
             priors=None if self.priors is None else self.priors[::-1],
-        )
+            descriptors=None if self.descriptors is None else (
+                sweep.swap_cameras_in_epipole_frame(self.descriptors[1]),
+                sweep.swap_cameras_in_epipole_frame(self.descriptors[0]),
+            ),
+        )  # fmt: skip
 
     def resized(self, size: tuple[int, int]) -> "RectifiedPair":
         """The same pair, reduced to ``size = (height, width)``."""

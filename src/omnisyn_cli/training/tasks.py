@@ -11,6 +11,7 @@ from torch import Tensor
 
 from omnisyn_cli.networks import completion, guided_depth
 from omnisyn_cli.networks.completion import FILLED_CHANNEL, CompletionConfig, reliable_mask
+from omnisyn_cli.networks.descriptors import DESCRIPTOR_VARIANTS, DescriptorConfig, DescriptorNetwork
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.guided_depth import GuidedDepthConfig
 from omnisyn_cli.networks.interface import DepthPrediction
@@ -19,6 +20,7 @@ from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNet
 from omnisyn_cli.training import joint, losses, synsin
 from omnisyn_cli.training.completion import FeatureBatch, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_scene_files, load_samples, stacked
+from omnisyn_cli.training.descriptor_pairs import descriptor_loss, descriptor_scores, draw_descriptors
 from omnisyn_cli.training.fusion_scenes import FusionBatch, draw_fusion
 from omnisyn_cli.training.guided_depth import draw_guided, guided_loss, guided_scores
 from omnisyn_cli.training.pairs import Batch, Triples, draw_pairs
@@ -109,7 +111,10 @@ def on_device(batch: Any, device: torch.device) -> Any:
     return replace(batch, **tensors)
 
 
-NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
+NetworkConfig = (
+    GuidedDepthConfig | PaperConfig | DescriptorConfig | CompletionConfig | FusionConfig | joint.JointConfig
+    | SynSinConfig
+)  # fmt: skip
 
 
 def _depth_pictures(answer: DepthPrediction, batch: Any) -> dict[str, np.ndarray]:
@@ -146,6 +151,12 @@ TASKS: Mapping[str, Task] = {
         pictures=lambda answer, batch: (
             _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}
         ),
+    ),
+    "descriptors": Task(
+        DescriptorConfig, DESCRIPTOR_VARIANTS, DescriptorNetwork,
+        draw=lambda pool, rng, stage, _, varied: draw_descriptors(pool, rng, stage.batch, stage.size, varied),
+        answer=lambda network, batch: (network(batch.first), network(batch.second)),
+        loss=descriptor_loss, scores=descriptor_scores,
     ),
     "completion": Task(
         CompletionConfig, completion.COMPLETION_VARIANTS, completion.CompletionNetwork,
