@@ -116,7 +116,7 @@ def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path):
 def test_what_matching_is_unsure_of_is_known_whatever_fills_it(tmp_path):
     """The same area for both methods; and what changes, flies and is worst stands in every record."""
     data = write_halls(tmp_path / "data", "hall")
-    matching, filled, fade = run(data, "matching,omnisyn-balanced:model=none,crossfade")
+    matching, filled, fade = run(data, "matching,omnisyn-balanced:model=none:prior=none:descriptors=none,crossfade")
     for one, other in zip(matching.depths, filled.depths, strict=True):
         assert 0 < one.doubt["unsure_area"] == other.doubt["unsure_area"] < 0.9
         assert one.doubt["within_5_sure"] > one.doubt["within_5_unsure"]

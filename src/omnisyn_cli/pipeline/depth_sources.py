@@ -181,7 +181,7 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = by_name(
     DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
     DepthStrategy(
         "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, role="completion",
-        model_is_optional=True, network_bytes=820, refining_bytes=400, estimation_bytes=295e6,
+        model_is_optional=True, network_bytes=820, refining_bytes=400, estimation_bytes=170e6,
     ),
     DepthStrategy("network", "a stereo network alone", _make_network, role="depth", network_bytes=3200),
     DepthStrategy(
