@@ -49,8 +49,8 @@ def draw_descriptors(
 def _pair(
     walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
 ) -> DescriptorBatch:
-    chosen = choose_views(walk, rng)[:2]
-    views = [data.walk_views(walk)[k] for k in chosen]
+    (first, second, _), known = choose_views(walk, rng), data.walk_views(walk)
+    views = [known[first], known[second]]
     if augmentation is not None:
         colours = data.vary_colours(np.stack([view.image for view in views]), rng, augmentation)
         views = [replace(view, image=image) for view, image in zip(views, colours, strict=True)]
@@ -61,14 +61,14 @@ def _pair(
     shown, turn = seen.shape[1] // SHOWN_SHARE, int(rng.integers(seen.shape[1]))
     mirror = -1 if rng.random() < 0.5 else 1
     seen = np.roll(seen, turn, axis=1)[:, :shown][:, ::mirror]
-    first, second = (
+    colours_of_both = (
         np.roll(image, 2 * turn, axis=1)[:, : 2 * shown][:, ::mirror].transpose(2, 0, 1).astype(np.float32)
         for image in (fine.first, fine.second)
     )
     weight = np.where(np.isfinite(seen), np.sin(pair.grid.polar_angle), 1e-9).cumsum(axis=0)
     rows = (weight[None] < weight[-1] * rng.random((SAMPLES, 1, shown))).sum(axis=1)
     targets = rows + np.take_along_axis(seen, rows, axis=0)
-    return DescriptorBatch(first, second, rows.T.astype(np.int64), targets.T.astype(np.float32))
+    return DescriptorBatch(*colours_of_both, rows.T.astype(np.int64), targets.T.astype(np.float32))
 
 
 def _true_disparity(pair: RectifiedPair, view: View) -> DisparityMap:
@@ -83,7 +83,10 @@ def _true_disparity(pair: RectifiedPair, view: View) -> DisparityMap:
 def log_likelihoods(
     answer: tuple[Tensor, Tensor], batch: DescriptorBatch
 ) -> tuple[Float[Tensor, "batch cols samples rows"], Float[Tensor, "batch cols samples rows"]]:
-    """Of matches of each pixel with all rows of its column, no depth leads up; and their distances to the true row."""
+    """Of a match of each pixel with every row of its column, and how far these are from the true row.
+
+    No depth leads up, so rows above the pixel are ruled out.
+    """
     own, other = (each.float().permute(0, 3, 2, 1) for each in answer)  # a column's descriptors side by side
     index = batch.rows[..., None].expand(-1, -1, -1, own.shape[-1])
     own = own.gather(2, index)
