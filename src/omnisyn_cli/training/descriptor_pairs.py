@@ -61,14 +61,14 @@ def _pair(
     shown, turn = seen.shape[1] // SHOWN_SHARE, int(rng.integers(seen.shape[1]))
     mirror = -1 if rng.random() < 0.5 else 1
     seen = np.roll(seen, turn, axis=1)[:, :shown][:, ::mirror]
-    colours_of_both = (
+    shown_first, shown_second = (
         np.roll(image, 2 * turn, axis=1)[:, : 2 * shown][:, ::mirror].transpose(2, 0, 1).astype(np.float32)
         for image in (fine.first, fine.second)
     )
     weight = np.where(np.isfinite(seen), np.sin(pair.grid.polar_angle), 1e-9).cumsum(axis=0)
     rows = (weight[None] < weight[-1] * rng.random((SAMPLES, 1, shown))).sum(axis=1)
     targets = rows + np.take_along_axis(seen, rows, axis=0)
-    return DescriptorBatch(*colours_of_both, rows.T.astype(np.int64), targets.T.astype(np.float32))
+    return DescriptorBatch(shown_first, shown_second, rows.T.astype(np.int64), targets.T.astype(np.float32))
 
 
 def _true_disparity(pair: RectifiedPair, view: View) -> DisparityMap:
