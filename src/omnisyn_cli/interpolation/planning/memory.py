@@ -24,7 +24,7 @@ MIP_LEVEL_SHARE, FLOAT_PIXEL_BYTES = 4 / 3, 12
 
 # Bytes that finding the depth of one pair leaves lying until that of the next is found; and those of each vertex of a
 # surface that are held of the pair after the one at work, and while both are joined.
-UNCOLLECTED_BYTES, LOOK_AHEAD_VERTEX_BYTES = 80e6, 4 * 8
+UNCOLLECTED_BYTES, LOOK_AHEAD_VERTEX_BYTES = 150e6, 4 * 8
 
 
 @dataclass(frozen=True)
