@@ -22,10 +22,19 @@ PLAN = Recipe(
 )  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def _small(monkeypatch):
-    monkeypatch.setitem(TASKS["guided"].variants, "small", SMALL)
-    monkeypatch.setattr(recipe, "make_walk", lambda seed, _: ball_walk(seed))
+@pytest.fixture(scope="module", autouse=True)
+def _small():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(TASKS["guided"].variants, "small", SMALL)
+        patch.setattr(recipe, "make_walk", lambda seed, _: ball_walk(seed))
+        yield
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, _small):
+    """A run that nobody disturbs: its trainer, its folder and what it reported."""
+    folder, rows = tmp_path_factory.mktemp("whole"), []
+    return train_recipe(PLAN, folder, report=rows.append), folder, rows
 
 
 class KilledError(Exception):
@@ -33,8 +42,7 @@ class KilledError(Exception):
 
 
 @pytest.mark.parametrize("killed_at", [1, 5])
-def test_a_run_that_is_killed_anywhere_ends_as_if_it_had_not_been(tmp_path, monkeypatch, killed_at):
-    whole = train_recipe(PLAN, tmp_path / "whole")
+def test_a_run_that_is_killed_anywhere_ends_as_if_it_had_not_been(tmp_path, monkeypatch, whole, killed_at):
     advance = RecipeTrainer.advance
 
     def advance_until_killed(trainer):
@@ -47,24 +55,23 @@ def test_a_run_that_is_killed_anywhere_ends_as_if_it_had_not_been(tmp_path, monk
         train_recipe(PLAN, tmp_path / "killed")
     monkeypatch.setattr(RecipeTrainer, "advance", advance)
     resumed = train_recipe(PLAN, tmp_path / "killed")
-    ours, theirs = ({k: v for k, v in t.state().items() if k not in {"training", "curve"}} for t in (resumed, whole))
+    ours, theirs = ({k: v for k, v in t.state().items() if k not in {"training", "curve"}} for t in (resumed, whole[0]))
     assert resumed.step == 8
     assert equal(ours, theirs)
-    figures = [[row["error"] for row in trainer.curve] for trainer in (resumed, whole)]
+    figures = [[row["error"] for row in trainer.curve] for trainer in (resumed, whole[0])]
     assert figures[0] == figures[1]
 
 
-def test_a_run_leaves_its_curve_its_pictures_and_compact_checkpoints(tmp_path):
-    rows = []
-    train_recipe(PLAN, tmp_path / "run", report=rows.append)
+def test_a_run_leaves_its_curve_its_pictures_and_compact_checkpoints(whole):
+    _, folder, rows = whole
     assert [row["step"] for row in rows] == [4, 8]
-    with (tmp_path / "run" / "curve.csv").open(newline="") as file:
+    with (folder / "curve.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
     assert [float(row["error"]) for row in table] == [row["error"] for row in rows]
-    assert len((tmp_path / "run" / "log.jsonl").read_text().splitlines()) == 2
-    assert json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[-1])["stage"] == 2
-    assert sorted(path.name for path in (tmp_path / "run" / "pictures").iterdir()) == ["00000004.png", "00000008.png"]
-    latest = torch.load(tmp_path / "run" / "latest.pt", weights_only=True)
+    assert len((folder / "log.jsonl").read_text().splitlines()) == 2
+    assert json.loads((folder / "log.jsonl").read_text().splitlines()[-1])["stage"] == 2
+    assert sorted(path.name for path in (folder / "pictures").iterdir()) == ["00000004.png", "00000008.png"]
+    latest = torch.load(folder / "latest.pt", weights_only=True)
     assert latest["step"] == 8
     assert len(latest["curve"]) == 2
     assert "optimizer" not in latest
@@ -149,9 +156,8 @@ def test_the_command_trains_and_wants_meshes_that_are_there(tmp_path, omnisyn):
     assert "delta_25" in made.out + made.raw_err
 
 
-def test_a_compact_checkpoint_is_published(tmp_path):
-    train_recipe(PLAN, tmp_path / "run")
-    ((entry, difference),) = publish(tmp_path / "run" / "best.pt", tmp_path / "models")
+def test_a_compact_checkpoint_is_published(tmp_path, whole):
+    ((entry, difference),) = publish(whole[1] / "best.pt", tmp_path / "models")
     assert entry.name == "guided-depth-small"
     assert entry.size == SMALL.size
     assert difference < 1e-4
