@@ -209,7 +209,7 @@ def test_without_a_floor_there_is_no_height():
     assert floor_heights([(floor_view(0.0), floor_view(0.0))]) == []
 
 
-ROOF_SIZE = (512, 1024)
+ROOF_SIZE = (256, 512)
 ROOF = math.radians(60)
 
 
