@@ -218,7 +218,7 @@ def test_help_lists_every_option_with_its_type() -> None:
 
 
 CAMERAS = Path(__file__).parents[1] / "docs" / "cameras.md"
-CAMERA_SIZE = (192, 384)
+CAMERA_SIZE = (128, 256)
 CHEAP = ["--frames", "3", "--preset", "fast", "--threads", "2"]
 COMMANDS = commands(CAMERAS)
 
@@ -258,8 +258,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rendered = [
         np.rint(render_panorama(scene, pose, CAMERA_SIZE, threads=2)[0] * 255).astype(np.uint8) for pose in poses
     ]
-    frames = [cv2.resize(picture, (384, 216), interpolation=cv2.INTER_CUBIC) for picture in rendered]
-    with open_video(folder / "walk.mp4", size=(216, 384), fps=1, crf=8) as sink:
+    frames = [cv2.resize(picture, (256, 144), interpolation=cv2.INTER_CUBIC) for picture in rendered]
+    with open_video(folder / "walk.mp4", size=(144, 256), fps=1, crf=8) as sink:
         for frame in (frames[0], frames[0], frames[1]):
             sink.write(frame)
     model, rows = ["# none"], ["image;lat;lng;altitude;heading;roll"]
@@ -288,7 +288,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "places.csv").write_text("\n".join(rows) + "\n")
     (folder / "model").mkdir()
     (folder / "model" / "images.txt").write_text("\n".join(model) + "\n")
-    (folder / "model" / "cameras.txt").write_text("1 EQUIRECTANGULAR 384 192 384 192\n")
+    (folder / "model" / "cameras.txt").write_text("1 EQUIRECTANGULAR 256 128 256 128\n")
     return folder
 
 
