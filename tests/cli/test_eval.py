@@ -10,6 +10,8 @@ import pytest
 from cli.cli_samples import Omnisyn, listing
 from interpolation_samples import edit_poses
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation import engine
+from omnisyn_cli.evaluation.methods import MethodUnavailableError
 from omnisyn_cli.evaluation.results import read_records
 from omnisyn_cli.runtime import session
 from synthesis_samples import posed, write_hall
@@ -74,8 +76,11 @@ def test_what_is_done_is_said_in_lines_where_nobody_sees_a_bar(omnisyn: Omnisyn,
     assert omnisyn(*arguments(scenes, "-q")).err == ""
 
 
-def test_the_usual_methods_are_compared_unless_others_are_named(omnisyn: Omnisyn, scenes: Path) -> None:
-    """The true depth only where there is some; the help says which."""
+def test_the_usual_methods_are_compared_unless_others_are_named(
+    omnisyn: Omnisyn, scenes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The true depth only where there is some; the help says which. What they would be worth is not measured."""
+    monkeypatch.setattr(engine, "measure", Mock(side_effect=MethodUnavailableError("not measured")))
 
     def methods(*more: object) -> list[str]:
         units = omnisyn.json("eval", scenes / "hall", "--threads", 1, "--no-pictures", *more)["units"]
