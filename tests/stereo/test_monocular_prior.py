@@ -29,6 +29,7 @@ from omnisyn_cli.types import View
 
 DIRECTIONS = pixel_directions(*ALIGNMENT_SIZE)
 PANORAMA, PERSPECTIVE = (64, 128), (48, 48)
+UNSEEN = View(np.zeros((2, 4, 3), np.float32), Pose(np.eye(3), POSITIONS[0]))  # Its picture is not looked at.
 
 
 def log_inverse(rays: np.ndarray, position: np.ndarray = POSITIONS[0]) -> np.ndarray:
@@ -72,7 +73,7 @@ def matches_of(seed: int, false_share: float = 0.3) -> tuple[np.ndarray, np.ndar
 @pytest.mark.parametrize("reading", READINGS)
 def test_scale_shift_and_reading_are_found_again(reading, scale, shift, is_perspective) -> None:
     """Within 3 %, though three tenths of the matches are wrong in the same way."""
-    answer = DistortedRoom(reading, scale, shift, is_perspective=is_perspective)(photograph(POSITIONS[0], np.eye(3)))
+    answer = DistortedRoom(reading, scale, shift, is_perspective=is_perspective)(UNSEEN)
     alignment = align(answer, *matches_of(seed=3))
     assert alignment.reading == READINGS[reading]
     error = alignment.log_inverse_depth(answer.at(DIRECTIONS)) - log_inverse(DIRECTIONS)
@@ -82,7 +83,7 @@ def test_scale_shift_and_reading_are_found_again(reading, scale, shift, is_persp
 
 def test_perspective_pictures_see_everything_and_join_without_steps() -> None:
     """Between neighbouring directions the joined map changes as the true one does, at the seam and the poles too."""
-    answer = DistortedRoom("inverse-depth", 2.0, 0.1, is_perspective=True)(photograph(POSITIONS[0], np.eye(3)))
+    answer = DistortedRoom("inverse-depth", 2.0, 0.1, is_perspective=True)(UNSEEN)
     directions = pixel_directions(128, 256)
     assert answer.at(directions).weight.sum(axis=0).min() > 0.01
     alignment = align(answer, *matches_of(seed=5, false_share=0.0))
