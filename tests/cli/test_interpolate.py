@@ -17,7 +17,7 @@ from cli.cli_samples import SIZE, STAGE_LINE, Omnisyn, folder_arguments, listing
 from interpolation_samples import described_by_ffmpeg, edit_poses, use_ffmpeg
 from omnisyn_cli.cli import progress
 from omnisyn_cli.io import open_video, read_spherical, write_image
-from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
+from omnisyn_cli.poses.file import read_poses, write_poses
 from process_limits import file_size_limit
 
 
@@ -343,7 +343,7 @@ def test_panoramas_of_16_bits_may_become_any_kind_of_frame(tmp_path: Path, pair:
     entries = read_poses(tmp_path / "poses.json").panoramas
     deep = tmp_path / "deep.png"
     write_image(deep, np.full((*SIZE, 3), 30_000, np.uint16))
-    write_poses(tmp_path / "poses.json", {**entries, "deep.png": PosedPanorama(entries["b.png"].pose)})
+    write_poses(tmp_path / "poses.json", {**entries, "deep.png": entries["b.png"]})
     for codec in ("png", "jpg", "exr", "tif"):
         more = ("-o", tmp_path / codec, "--codec", codec, "--overwrite", "-q")
         omnisyn.quiet(*folder_arguments(tmp_path, [pair[0], deep], *more))

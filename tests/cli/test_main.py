@@ -211,7 +211,7 @@ def test_numbers_that_mean_nothing_are_wrong_usage(omnisyn: Omnisyn, command: st
 
 def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
     images = write_pair(tmp_path)
-    process = start_cli("info", *images * 200, folder=tmp_path)
+    process = start_cli("info", *images * 20, folder=tmp_path)
     assert process.stdout is not None
     process.stdout.close()
     assert process.stderr is not None
