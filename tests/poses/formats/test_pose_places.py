@@ -204,16 +204,23 @@ def geographic(position: np.ndarray) -> tuple[float, float, float]:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("headings", [(None, None, None), (True, None, None), (None, None, True)])
-def test_headings_come_from_the_pictures(tmp_path, headings):
-    """Of all three panoramas with the track of their places, or of those without one from their neighbours."""
+@pytest.fixture(scope="module")
+def street():
+    """Poses and pictures of three panoramas."""
     scene = generate_scene("street", 101)
     poses = sample_path(scene, 101, 3)
-    for index, (pose, has_heading) in enumerate(zip(poses, headings, strict=True)):
-        image, _ = render_panorama(scene, pose, (192, 384), threads=2)
+    images = (render_panorama(scene, pose, (192, 384), threads=2)[0] for pose in poses)
+    return poses, [np.rint(image * 255).astype(np.uint8) for image in images]
+
+
+@pytest.mark.parametrize("headings", [(None, None, None), (True, None, None), (None, None, True)])
+def test_headings_come_from_the_pictures(tmp_path, street, headings):
+    """Of all three panoramas with the track of their places, or of those without one from their neighbours."""
+    poses, pictures = street
+    for index, (pose, picture, has_heading) in enumerate(zip(poses, pictures, headings, strict=True)):
         heading = math.degrees(heading_angles(pose.rotation)[0]) % 360
         tags = gps(*geographic(pose.position)) | (pano_pose(heading) if has_heading else {})
-        write_images(tmp_path, [f"{index}.png"], picture=np.rint(image * 255).astype(np.uint8), **tags)
+        write_images(tmp_path, [f"{index}.png"], picture=picture, **tags)
     result = imported(tmp_path, expected="exif")
     assert "come from the pictures" in " ".join(result.notes)
     for view, pose in zip(result.views, poses, strict=True):
