@@ -1,6 +1,8 @@
 """Pairs with a true frame half way, and what was made of them; some with poses that are deliberately wrong."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,14 +26,15 @@ class Judged:
     calibration_error: float | None  # of its depth's confidence, mean of both views; None where that is constant
 
 
-def generated_views(kind: str, seed: int, baseline: float, size: tuple[int, int]) -> list[View]:
+@lru_cache(maxsize=4)
+def generated_views(kind: str, seed: int, baseline: float, size: tuple[int, int]) -> tuple[View, ...]:
     """First, middle and last panorama of a way, with true depth."""
     scene = generate_scene(kind, seed)
     views = []
     for pose in sample_path(scene, seed, 3, baseline=baseline):
         image, depth = render_panorama(scene, pose, size)
         views.append(View(image, pose, None, DepthEstimate(1 / depth, np.ones_like(depth))))
-    return views
+    return tuple(views)
 
 
 def disturbed(view: View, degrees: float, metres: float) -> View:
@@ -41,7 +44,7 @@ def disturbed(view: View, degrees: float, metres: float) -> View:
 
 
 def judged(
-    name: str, views: list[View], degrees: float = 0.0, metres: float = 0.0,
+    name: str, views: Sequence[View], degrees: float = 0.0, metres: float = 0.0,
     config: RunConfig = TRUE_DEPTH,
 ) -> Judged:  # fmt: skip
     """What a pair says about itself, and what the truth says; of true depth by default."""

@@ -36,7 +36,7 @@ ESTIMATORS: dict[str, DepthEstimator] = {
 
 
 @pytest.fixture(scope="module")
-def room() -> list[View]:
+def room() -> tuple[View, ...]:
     return generated_views("room", 104, 1.0, SIZE)
 
 
@@ -58,12 +58,12 @@ def test_a_stop_between_the_pictures_costs_less_than_a_decibel(room, method, sto
     assert ws_psnr(half_way(first, middle, other, ESTIMATORS[method]), truth) > best - 1.0
 
 
-def test_pictures_exposed_alike_are_not_changed_at_all(room: list[View]) -> None:
+def test_pictures_exposed_alike_are_not_changed_at_all(room: tuple[View, ...]) -> None:
     pair = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE)).prepare(0, [room[0], room[2]])
     assert pair.prepared.cross_check.curve.is_identity
 
 
-def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: list[View]) -> None:
+def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: tuple[View, ...]) -> None:
     """It is the mean of both photographs there, and closer to the truth than what the wrong poses make."""
     first, middle, last = room
     wrong = disturbed(last, 8.0, 0.4)
