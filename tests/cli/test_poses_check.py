@@ -11,7 +11,8 @@ import pytest
 
 from cli.cli_samples import Omnisyn, listing
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.io import write_image
+from omnisyn_cli.io import read_panorama, write_image
+from omnisyn_cli.io.placement import Reading
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from omnisyn_cli.poses.registration.least_squares import direction_error, relative_pose, rotation_error
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
@@ -34,6 +35,15 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     before = listing(folder)
     yield folder
     assert listing(folder) == before  # no command writes beside its inputs
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Photographs of the example at half their size."""
+    folder = tmp_path_factory.mktemp("street")
+    for name in ("first.jpg", "second.jpg"):
+        write_image(folder / name, read_panorama(STREET / name, reading=Reading(size=(512, 1024))).image)
+    return folder / "first.jpg", folder / "second.jpg"
 
 
 def images(folder: Path, count: int = 2) -> list[Path]:
@@ -63,18 +73,19 @@ def test_right_poses_fit_pair_by_pair(tour: Path, omnisyn: Omnisyn) -> None:
     assert "b.png and c.png: the poses fit\n" in result.out
 
 
-def test_the_height_of_the_camera_follows_from_the_distance_given(tmp_path: Path, omnisyn: Omnisyn) -> None:
+def test_the_height_of_the_camera_follows_from_the_distance_given(
+    tmp_path: Path, street: tuple[Path, Path], omnisyn: Omnisyn
+) -> None:
     """The example stands 2.42 m above its street; in kilometres that is too little, and wrong poses say nothing."""
     for name, scale, words in (("metres", 1.0, "2.42 m above the floor\n"), ("kilometres", 1e-3, "is unusual")):
         file = changed_file(
             STREET, tmp_path / f"{name}.json", lambda pose, scale=scale: Pose(pose.rotation, scale * pose.position)
         )
-        pictures = STREET / "first.jpg", STREET / "second.jpg"
-        assert words in omnisyn.made("poses", "check", *pictures, "--poses", file).out
-        (pair,) = json.loads(omnisyn.made("poses", "check", *pictures, "--poses", file, "--json").out)
+        assert words in omnisyn.made("poses", "check", *street, "--poses", file).out
+        (pair,) = json.loads(omnisyn.made("poses", "check", *street, "--poses", file, "--json").out)
         assert pair["camera_height"] == pytest.approx(2.418 * scale, rel=0.01)
     inverted = changed_file(STREET, tmp_path / "inverted.json", lambda pose: pose.inverse())
-    (pair,) = json.loads(omnisyn.ended(1, "poses", "check", *pictures, "--poses", inverted, "--json").out)
+    (pair,) = json.loads(omnisyn.ended(1, "poses", "check", *street, "--poses", inverted, "--json").out)
     assert pair["camera_height"] is None
 
 
@@ -83,19 +94,20 @@ def test_the_height_of_the_camera_follows_from_the_distance_given(tmp_path: Path
     [(None, "1 of 1 pairs see"), ([], "matched points tell"), ([0.5], "planes that matched points do not confirm")],
 )
 def test_the_height_of_the_camera_gives_metres_or_none(
-    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch, heights: list[float] | None, words: str
-) -> None:
+    tmp_path: Path, street: tuple[Path, Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch,
+    heights: list[float] | None, words: str,
+) -> None:  # fmt: skip
     """By the floor; by points where no plane is found, as around a tripod; not by a table."""
     if heights is not None:
         monkeypatch.setattr("omnisyn_cli.poses.estimation.floor_heights", lambda _: heights)
-    pictures, output = (STREET / "first.jpg", STREET / "second.jpg"), tmp_path / "found.json"
-    command = ("poses", "estimate", *pictures, "--camera-height", 2.418, "-o", output)
+    output = tmp_path / "found.json"
+    command = ("poses", "estimate", *street, "--camera-height", 2.418, "-o", output)
     if heights:
         assert words in omnisyn.refused(*command)
         return
     assert words in omnisyn.made(*command).err
     lengths = [
-        np.linalg.norm(np.subtract(*(read_poses(file).of(picture.name).pose.position for picture in pictures)))
+        np.linalg.norm(np.subtract(*(read_poses(file).of(picture.name).pose.position for picture in street)))
         for file in (output, STREET / "poses.json")
     ]
     assert lengths[0] == pytest.approx(lengths[1], rel=0.02)
