@@ -39,10 +39,10 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Photographs of the example at half their size."""
+    """Photographs of the example, smaller."""
     folder = tmp_path_factory.mktemp("street")
     for name in ("first.jpg", "second.jpg"):
-        write_image(folder / name, read_panorama(STREET / name, reading=Reading(size=(512, 1024))).image)
+        write_image(folder / name, read_panorama(STREET / name, reading=Reading(size=(384, 768))).image)
     return folder / "first.jpg", folder / "second.jpg"
 
 
