@@ -21,7 +21,7 @@ def pair(tmp_path: Path) -> list[Path]:
     (hidden / "__init__.py").write_text("raise ImportError('hidden', name='torch')\n")
     images = write_pair(tmp_path, size=(64, 128))
     edit_poses(tmp_path, lambda panoramas: [panorama.pop("depth") for panorama in panoramas.values()])
-    job = {"id": "one", "inputs": ["a.png", "b.png"], "poses": "poses.json", "frames": 3}
+    job = {"id": "one", "inputs": ["a.png", "b.png"], "poses": "poses.json", "frames": 3, "preset": "fast"}
     (tmp_path / "jobs.jsonl").write_text(json.dumps(job))
     return images
 
@@ -39,8 +39,8 @@ def ended(pair: list[Path], *words: Any) -> tuple[int, str]:
     ("words", "made"),
     [
         (["interpolate", "a.png", "b.png", "-o", "o.mp4", *SMALL], "o.mp4"),
-        (["view", "a.png", "b.png", "-o", "o.html"], "o.html"),
-        (["export", "a.png", "b.png", "-o", "o.glb"], "o.glb"),
+        (["view", "a.png", "b.png", "-o", "o.html", "--preset", "fast"], "o.html"),
+        (["export", "a.png", "b.png", "-o", "o.glb", "--preset", "fast"], "o.glb"),
         (["poses", "check", "a.png", "b.png", "--poses", "poses.json"], "poses.json"),
         (["eval", ".", "--methods", "crossfade", "--json"], "poses.json"),
         (["batch", "jobs.jsonl", "-o", "out", "--workers", 1], "out/results.jsonl"),
