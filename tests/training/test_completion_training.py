@@ -99,10 +99,10 @@ def test_a_network_is_trained_and_published(tmp_path, pool):
     folder = str(pool[0].parent)
     config = TrainConfig(folder, folder, size=SIZE, batch=4, rate=4e-3, validate_every=40, validation_pairs=4, ema=0.8)
     rows = []
-    train(TINY, config, tmp_path / "run", steps=120, report=rows.append)
+    train(TINY, config, tmp_path / "run", steps=80, report=rows.append)
     assert rows[-1]["loss"] < rows[0]["loss"]
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
-    assert (state["kind"], state["step"], network.config) == ("completion", 120, TINY)
+    assert (state["kind"], state["step"], network.config) == ("completion", 80, TINY)
     ((entry, difference),) = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=pool[0].parent)
     assert difference < 1e-4
     assert (entry.role, entry.size) == ("completion", SIZE)
