@@ -46,7 +46,7 @@ def test_the_first_way_to_hold_a_picture_becomes_the_likeliest():
 
 def test_the_command_fits_a_network_and_replaces_it_only_on_request(tmp_path, omnisyn):
     torch.save(published(EfficientNetLite0()), tmp_path / "encoder.pt")
-    words = ("train", "attitude", tmp_path / "models", "--scenes", 6, "--encoder", tmp_path / "encoder.pt")
+    words = ("train", "attitude", tmp_path / "models", "--scenes", 3, "--encoder", tmp_path / "encoder.pt")
     assert "of held-out pictures right" in omnisyn.made(*words).out
     assert read_manifest(tmp_path / "models")["attitude"].size == AttitudeConfig.size
     assert "--overwrite" in omnisyn.ended(3, *words).err
