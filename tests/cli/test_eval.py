@@ -76,9 +76,7 @@ def test_what_is_done_is_said_in_lines_where_nobody_sees_a_bar(omnisyn: Omnisyn,
     assert omnisyn(*arguments(scenes, "-q")).err == ""
 
 
-def test_the_usual_methods_are_compared_unless_others_are_named(
-    omnisyn: Omnisyn, scenes: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_usual_methods_are_compared_unless_others_are_named(omnisyn, scenes: Path, monkeypatch) -> None:
     """The true depth only where there is some; the help says which. What they would be worth is not measured."""
     monkeypatch.setattr(engine, "measure", Mock(side_effect=MethodUnavailableError("not measured")))
 

@@ -73,9 +73,7 @@ def test_right_poses_fit_pair_by_pair(tour: Path, omnisyn: Omnisyn) -> None:
     assert "b.png and c.png: the poses fit\n" in result.out
 
 
-def test_the_height_of_the_camera_follows_from_the_distance_given(
-    tmp_path: Path, street: tuple[Path, Path], omnisyn: Omnisyn
-) -> None:
+def test_the_height_of_the_camera_follows_from_the_distance_given(tmp_path, street, omnisyn: Omnisyn) -> None:
     """The example stands 2.42 m above its street; in kilometres that is too little, and wrong poses say nothing."""
     for name, scale, words in (("metres", 1.0, "2.42 m above the floor\n"), ("kilometres", 1e-3, "is unusual")):
         file = changed_file(
@@ -93,10 +91,7 @@ def test_the_height_of_the_camera_follows_from_the_distance_given(
     ("heights", "words"),
     [(None, "1 of 1 pairs see"), ([], "matched points tell"), ([0.5], "planes that matched points do not confirm")],
 )
-def test_the_height_of_the_camera_gives_metres_or_none(
-    tmp_path: Path, street: tuple[Path, Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch,
-    heights: list[float] | None, words: str,
-) -> None:  # fmt: skip
+def test_the_height_of_the_camera_gives_metres_or_none(tmp_path, street, omnisyn, monkeypatch, heights, words) -> None:
     """By the floor; by points where no plane is found, as around a tripod; not by a table."""
     if heights is not None:
         monkeypatch.setattr("omnisyn_cli.poses.estimation.floor_heights", lambda _: heights)
