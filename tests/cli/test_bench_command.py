@@ -82,14 +82,10 @@ def test_a_failure_is_named_and_the_exit_code_is_1(
 
 @pytest.mark.parametrize(
     ("options", "code", "message"),
-    [
-        (["nosuch"], 3, "expected a folder of scenes"),
-        (["--sizes", "64x64"], 2, "twice as wide"),
-        (["--threads", "0"], 2, "--threads"),
-        (["--threads", "64,abc"], 2, "'--threads': 'abc' is not a valid integer."),
-        (["--store", "nosuch/table.json"], 3, "expected an existing folder"),
-    ],
-)
+    [(["nosuch"], 3, "expected a folder of scenes"), (["--sizes", "64x64"], 2, "twice as wide"),
+     (["--threads", "0"], 2, "--threads"), (["--threads", "64,abc"], 2, "'--threads': 'abc' is not a valid integer."),
+     (["--store", "nosuch/table.json"], 3, "expected an existing folder")],
+)  # fmt: skip
 def test_wrong_options_are_explained(omnisyn: Omnisyn, options: list[str], code: int, message: str) -> None:
     result = omnisyn.ended(code, "bench", *options)
     assert result.out == ""

@@ -10,12 +10,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import rotated_directions, sample_nearest
 from omnisyn_cli.runtime.image_networks import DescriptorSession
 from omnisyn_cli.runtime.session import open_model
-from omnisyn_cli.stereo.descriptor_costs import (
-    DESCRIPTOR_WEIGHT,
-    HALF_COST_DISTANCE,
-    add_to_volume,
-    with_descriptors,
-)
+from omnisyn_cli.stereo.descriptor_costs import DESCRIPTOR_WEIGHT, HALF_COST_DISTANCE, add_to_volume, with_descriptors
 from omnisyn_cli.stereo.disparity import MatchingOptions, match_all_disparities
 from omnisyn_cli.stereo.rectify import rectify
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange

@@ -37,15 +37,10 @@ def features(position, rotation, other_position, other_rotation):
     everywhere = np.ones(BALL_SIZE, bool)
     motion = Pose(other_rotation, other_position).inverse() @ Pose(rotation, position)
     return StereoFeatures(
-        image=image,
-        matched=inverse_depth * baseline,
-        left_right_consistent=everywhere,
-        sky=~everywhere,
-        filled=inverse_depth * baseline,
-        usable=everywhere,
+        image=image, matched=inverse_depth * baseline, left_right_consistent=everywhere, sky=~everywhere,
+        filled=inverse_depth * baseline, usable=everywhere, up=rotation[1],
         second_from_first=Pose(motion.rotation, motion.position / baseline),
-        up=rotation[1],
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -214,14 +209,9 @@ def test_rolling_the_columns_of_the_pictures_rolls_the_answers():
 
 @pytest.mark.parametrize(
     ("rows", "image_rows", "heights"),
-    [
-        (384, 512, [192]),
-        (512, 64, [256]),
-        (1024, 512, [256, 512]),
-        (2048, 256, [256, 512]),
-        (2048, 512, [256, 512, 1024]),
-    ],
-)
+    [(384, 512, [192]), (512, 64, [256]), (1024, 512, [256, 512]), (2048, 256, [256, 512]),
+     (2048, 512, [256, 512, 1024])],
+)  # fmt: skip
 def test_sizes_double_up_to_what_is_wanted_and_what_the_pictures_have(rows, image_rows, heights):
     assert refinement_sizes(rows, image_rows) == tuple((height, 2 * height) for height in heights)
     assert matching_rows(rows) == 2 * heights[0]

@@ -179,14 +179,10 @@ def test_a_doubtful_pair_gets_soft_surfaces_and_keeps_its_photographs_at_the_end
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        ({"masks": (Path("m0.png"),)}, "one mask for each of 2"),
-        ({"nadir": 1.6}, "less than 90 degrees"),
-        ({"nadir": -0.1}, "less than 90 degrees"),
-        ({"fallback": "guess"}, "as fallback"),
-        ({"save_confidence": Path("frames")}, "place of its own"),
-    ],
-)
+    [({"masks": (Path("m0.png"),)}, "one mask for each of 2"), ({"nadir": 1.6}, "less than 90 degrees"),
+     ({"nadir": -0.1}, "less than 90 degrees"), ({"fallback": "guess"}, "as fallback"),
+     ({"save_confidence": Path("frames")}, "place of its own")],
+)  # fmt: skip
 def test_what_cannot_be_meant_is_refused_beforehand(options: dict, message: str, tmp_path: Path) -> None:
     job = hall_job(tmp_path)
     if "save_confidence" in options:

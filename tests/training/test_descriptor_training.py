@@ -9,12 +9,7 @@ from training_samples import make_walks
 
 from omnisyn_cli.networks.descriptors import DESCRIPTOR_VARIANTS, DescriptorNetwork
 from omnisyn_cli.training.data import Augmentation, list_scene_files
-from omnisyn_cli.training.descriptor_pairs import (
-    DescriptorBatch,
-    descriptor_loss,
-    descriptor_scores,
-    draw_descriptors,
-)
+from omnisyn_cli.training.descriptor_pairs import DescriptorBatch, descriptor_loss, descriptor_scores, draw_descriptors
 
 
 def test_a_rolled_picture_has_rolled_descriptors():
