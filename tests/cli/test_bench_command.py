@@ -138,14 +138,12 @@ def test_depth_from_files_leaves_nothing_to_choose(omnisyn: Omnisyn, images: lis
 
 @pytest.mark.parametrize(
     ("more", "code", "message"),
-    [
-        (["--preset", "fast"], 2, "expected --preset or --budget"),
-        (["--renderer", "two-pass"], 3, "expected the renderer 'mesh' with a budget"),
-        (["--depth", "matching"], 3, "expected the depth 'auto' with a budget, got 'matching'"),
-        (["--depth", "refined", "--model", "completion-balanced"], 3, "expected no model with a budget"),
-        (["--fusion", "network"], 3, "expected the fusion 'auto' with a budget, got 'network'"),
-    ],
-)
+    [(["--preset", "fast"], 2, "expected --preset or --budget"),
+     (["--renderer", "two-pass"], 3, "expected the renderer 'mesh' with a budget"),
+     (["--depth", "matching"], 3, "expected the depth 'auto' with a budget, got 'matching'"),
+     (["--depth", "refined", "--model", "completion-balanced"], 3, "expected no model with a budget"),
+     (["--fusion", "network"], 3, "expected the fusion 'auto' with a budget, got 'network'")],
+)  # fmt: skip
 def test_what_a_budget_does_not_go_with(
     omnisyn: Omnisyn, images: list[Path], more: list[str], code: int, message: str
 ) -> None:

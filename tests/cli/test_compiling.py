@@ -57,13 +57,11 @@ def test_where_nothing_can_be_kept_it_is_said_what_to_do(
 
 @pytest.mark.parametrize(
     ("work", "arguments"),
-    [
-        ("omnisyn_cli.evaluation.engine.plan_evaluation", ("eval", "scenes")),
-        ("omnisyn_cli.evaluation.bench_settings.make_scenes", ("bench",)),
-        ("omnisyn_cli.evaluation.bench_settings.plan_bench", ("bench", "scenes")),
-        ("omnisyn_cli.interpolation.run.run_interpolation", ("interpolate",)),
-    ],
-)
+    [("omnisyn_cli.evaluation.engine.plan_evaluation", ("eval", "scenes")),
+     ("omnisyn_cli.evaluation.bench_settings.make_scenes", ("bench",)),
+     ("omnisyn_cli.evaluation.bench_settings.plan_bench", ("bench", "scenes")),
+     ("omnisyn_cli.interpolation.run.run_interpolation", ("interpolate",))],
+)  # fmt: skip
 def test_commands_that_compile_say_so(
     work: str, arguments: tuple[object, ...], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,

@@ -211,11 +211,9 @@ def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, omnisyn: 
 
 @pytest.mark.parametrize(
     ("more", "words"),
-    [
-        (("--cut", 0.1, "--cut-metres", 2), "expected --cut or --cut-metres, got both; leave one of them out"),
-        (("--fps", "30/0"), "--fps"),
-    ],
-)
+    [(("--cut", 0.1, "--cut-metres", 2), "expected --cut or --cut-metres, got both; leave one of them out"),
+     (("--fps", "30/0"), "--fps")],
+)  # fmt: skip
 def test_wrong_usage_leaves_nothing(
     tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, more: tuple[object, ...], words: str
 ) -> None:

@@ -51,12 +51,9 @@ def test_a_video_s_page_is_the_page_of_view(walk: list[Path], tmp_path: Path, om
 
 @pytest.mark.parametrize(
     ("more", "words"),
-    [
-        (("--view", "walk.mp4"), "ending in .html"),
-        (("--view", "there.html"), "one that exists"),
-        (("--view", "new.html", "--method", "synsin"), "no view"),
-    ],
-)
+    [(("--view", "walk.mp4"), "ending in .html"), (("--view", "there.html"), "one that exists"),
+     (("--view", "new.html", "--method", "synsin"), "no view")],
+)  # fmt: skip
 def test_a_page_that_cannot_be_is_refused_before_any_frame(
     walk: list[Path], tmp_path: Path, omnisyn: Omnisyn, more: tuple[str, ...], words: str
 ) -> None:
@@ -160,14 +157,11 @@ def test_nothing_is_overwritten_unasked(walk: list[Path], tmp_path: Path, omnisy
 
 @pytest.mark.parametrize(
     ("output", "more", "says"),
-    [
-        ("x.obj", [], "expected a name ending in .glb or .ply, or a format for a folder, got '.obj'"),
-        ("folder", [], "name the format"),
-        ("x.ply", ["--format", "glb"], "expected a name ending in .glb for glb"),
-        ("no/x.glb", [], "expected an existing folder"),
-        ("a walk", ["--format", "colmap", "--overwrite"], "expected inputs that are not overwritten"),
-    ],
-)
+    [("x.obj", [], "expected a name ending in .glb or .ply, or a format for a folder, got '.obj'"),
+     ("folder", [], "name the format"), ("x.ply", ["--format", "glb"], "expected a name ending in .glb for glb"),
+     ("no/x.glb", [], "expected an existing folder"),
+     ("a walk", ["--format", "colmap", "--overwrite"], "expected inputs that are not overwritten")],
+)  # fmt: skip
 def test_places_that_do_not_fit_are_refused_before_any_work(
     walk: list[Path], tmp_path: Path, omnisyn: Omnisyn, output: str, more: list[str], says: str
 ) -> None:

@@ -247,13 +247,10 @@ def test_scenes_are_made_once(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        ({"methods": "nosuch"}, "nosuch"),
-        ({"methods": "oracle-depth"}, "expected methods that `omnisyn interpolate` has"),
-        ({"methods": "matching:depth=64x32"}, "expected methods that `omnisyn interpolate` has"),
-        ({"pairs": "x"}, "pairs"),
-    ],
-)
+    [({"methods": "nosuch"}, "nosuch"), ({"methods": "oracle-depth"}, "expected methods that `omnisyn interpolate` has"),
+     ({"methods": "matching:depth=64x32"}, "expected methods that `omnisyn interpolate` has"),
+     ({"pairs": "x"}, "pairs")],
+)  # fmt: skip
 def test_wrong_wishes_are_refused(tmp_path, options, message):
     write_halls(tmp_path / "data", "hall")
     with pytest.raises(InputError, match=message):

@@ -178,13 +178,11 @@ def test_sources_without_a_name_or_a_model_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("unknown", "message"),
-    [
-        (RunConfig(renderer="magic"), r"renderer of mesh, two-pass, points, got 'magic'"),
-        (RunConfig(fusion="magic"), r"fusion of geometric, network, painting, got 'magic'"),
-        (RunConfig(method="magic"), r"method of omnisyn, .*, got 'magic'"),
-        (RunConfig(DepthSource("magic")), r"depth source of file, .*, got 'magic'"),
-    ],
-)
+    [(RunConfig(renderer="magic"), r"renderer of mesh, two-pass, points, got 'magic'"),
+     (RunConfig(fusion="magic"), r"fusion of geometric, network, painting, got 'magic'"),
+     (RunConfig(method="magic"), r"method of omnisyn, .*, got 'magic'"),
+     (RunConfig(DepthSource("magic")), r"depth source of file, .*, got 'magic'")],
+)  # fmt: skip
 def test_an_unknown_name_is_refused_with_the_known_ones(unknown, message):
     with pytest.raises(ValueError, match=message):
         make_method(unknown, (32, 64))
