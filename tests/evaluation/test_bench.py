@@ -247,9 +247,9 @@ def test_scenes_are_made_once(tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"methods": "nosuch"}, "nosuch"), ({"methods": "oracle-depth"}, "expected methods that `omnisyn interpolate` has"),
-     ({"methods": "matching:depth=64x32"}, "expected methods that `omnisyn interpolate` has"),
-     ({"pairs": "x"}, "pairs")],
+    [({"methods": "nosuch"}, "nosuch"), ({"pairs": "x"}, "pairs"),
+     ({"methods": "oracle-depth"}, "expected methods that `omnisyn interpolate` has"),
+     ({"methods": "matching:depth=64x32"}, "expected methods that `omnisyn interpolate` has")],
 )  # fmt: skip
 def test_wrong_wishes_are_refused(tmp_path, options, message):
     write_halls(tmp_path / "data", "hall")
