@@ -65,6 +65,11 @@ def test_panoramas_that_do_not_match_are_not_linked() -> None:
     assert links_between("abcd", places, around) == (("a", "c"), ("b", "d"), ("c", "d"))
 
 
+def test_a_pair_that_matches_from_afar_is_not_linked_where_a_chain_leads_there() -> None:
+    places = np.array([(0.1 * (k % 2), 0, -k) for k in range(5)])
+    assert links_between("abcde", places, ["ab", "bc", "cd", "de", "ae"]) == chain_links("abcde")
+
+
 def test_a_square_grid_has_no_links_across() -> None:
     places = np.array([(x, 0, z) for x in range(3) for z in range(3)], float) * 0.7
     assert len(links_between([str(k) for k in range(9)], places)) == 12

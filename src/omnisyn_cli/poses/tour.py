@@ -148,22 +148,22 @@ def links_between(
     """Links that follow from positions: the relative neighbourhood graph.
 
     Two panoramas are linked unless a third one is nearer to both than they are to each other. So corridors become
-    chains and crossings stay crossings; all stay connected. Where it is known which pairs ``matched``, others count as
-    infinitely far. Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
+    chains and crossings stay crossings; all stay connected. Where it is known which pairs ``matched``, only they are
+    linked, and all others are as far apart as the way over them is long. Source: Toussaint, "The relative neighbourhood
+    graph of a finite planar set", 1980.
     """
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
-    if matched is not None:
-        place = {name: k for k, name in enumerate(names)}
-        sees = np.zeros(distance.shape, bool)
-        for first, second in matched:
-            sees[place[first], place[second]] = sees[place[second], place[first]] = True
-        distance = np.where(sees, distance, np.inf)
+    may_link = np.full(distance.shape, matched is None)
+    for pair in matched or ():
+        may_link[np.ix_(*[[names.index(name) for name in pair]] * 2)] = True
+    distance = np.where(may_link, distance, np.inf)
+    for middle in range(len(names)):
+        distance = np.minimum(distance, distance[:, middle, None] + distance[middle])
     links = []
     for here in range(len(names)):
         via = np.maximum(distance[here][:, None], distance)  # third × other
         via[here] = np.inf
         np.fill_diagonal(via, np.inf)
-        is_blocked = via.min(axis=0) < distance[here] * (1.0 - NEIGHBOUR_TOLERANCE)
-        is_linked = np.isfinite(distance[here]) & ~is_blocked
+        is_linked = may_link[here] & (via.min(axis=0) >= distance[here] * (1.0 - NEIGHBOUR_TOLERANCE))
         links += [(names[here], names[other]) for other in range(here + 1, len(names)) if is_linked[other]]
     return tuple(links)
