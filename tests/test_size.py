@@ -11,8 +11,8 @@ SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
     "poses": 6_265, "interpolation": 5_229, "evaluation": 3_769, "scenes": 3_820, "io": 3_655, "stereo": 3_524,
-    "cli": 3_519, "render": 3_435, "training": 3_250, "fusion": 2_740, "synthesis": 3_355, "batch": 1_544,
-    "networks": 1_585, "baselines": 838, "geometry": 883, "pipeline": 643, "compute": 650, "(top)": 331,
+    "cli": 3_519, "render": 3_435, "training": 3_252, "fusion": 2_740, "synthesis": 3_357, "batch": 1_544,
+    "networks": 1_581, "baselines": 838, "geometry": 883, "pipeline": 643, "compute": 650, "(top)": 331,
     "runtime": 555,
 }  # fmt: skip
 """Lines by room. To give a room more, take it from another one: the sum is never raised."""

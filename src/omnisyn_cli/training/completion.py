@@ -13,6 +13,8 @@ from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import distance_between
+from omnisyn_cli.runtime.image_networks import DescriptorSession
+from omnisyn_cli.runtime.session import open_model
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
 from omnisyn_cli.training.data import Array, Augmentation, load_samples, save_samples, stacked, vary_colours
@@ -46,7 +48,8 @@ def make_feature_scene(folder: Path, seed: int, config: SceneConfig) -> Path | N
         for stop in (0, int(rng.integers(2, PATH_STOPS - 2)), PATH_STOPS - 1)
     ]
     inner = ((0, 1), (1, 2))[int(rng.integers(2))]
-    estimator = MatchingDepthEstimator(MatchingOptions(size=size), threads=1)
+    descriptors = DescriptorSession(open_model("descriptors", device="cpu", threads=1))
+    estimator = MatchingDepthEstimator(MatchingOptions(size=size), threads=1, descriptors=descriptors)
     pairs = [pair for i, j in ((0, 2), inner) for pair in _match_pair(shown[i], shown[j], estimator, rng)]
     file = scene_path(folder, seed)
     save_samples(file, pairs)
