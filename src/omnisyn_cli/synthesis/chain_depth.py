@@ -37,7 +37,9 @@ if TYPE_CHECKING:
 # Difference of colours that makes an estimate e times less likely where two contradict each other.
 COLOUR_MISMATCH_SCALE = 0.02
 MAX_COLOUR_MISMATCH = 0.2  # greater differences say no more, as masked pixels do
-MISMATCH_WINDOW_PIXELS = 3  # side in pixels, at the size of the check, of the squares that colours are compared in
+# Side in pixels, at the size of the check, of the squares that colours are compared in: 29°. In small ones chance
+# decides. (Against 3 pixels, tours of five generated places and a corridor have a third fewer shards, and 0.05 dB more.)
+MISMATCH_WINDOW_PIXELS = 41
 
 
 @dataclass(frozen=True)
