@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 COLOUR_MISMATCH_SCALE = 0.02
 MAX_COLOUR_MISMATCH = 0.2  # greater differences say no more, as masked pixels do
 # Side in pixels, at the size of the check, of the squares that colours are compared in: 29°. In small ones chance
-# decides. (Against 3 pixels, tours of five generated places and a corridor have a third fewer shards, and 0.05 dB more.)
+# decides. (Against 3 pixels, tours of five generated places and a corridor have a third fewer shards, and + 0.05 dB.)
 MISMATCH_WINDOW_PIXELS = 41
 
 
