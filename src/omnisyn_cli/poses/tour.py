@@ -148,14 +148,14 @@ def links_between(
     """Links that follow from positions: the relative neighbourhood graph.
 
     Two panoramas are linked unless a third one is nearer to both than they are to each other. So corridors become
-    chains and crossings stay crossings; all stay connected. Where it is known which pairs ``matched``, only they are
-    linked, and all others are as far apart as the way over them is long. Source: Toussaint, "The relative neighbourhood
-    graph of a finite planar set", 1980.
+    chains and crossings stay crossings; all stay connected. Where it is known which pairs ``matched``, the way between
+    others leads over these. Source: Toussaint, "The relative neighbourhood graph of a finite planar set", 1980.
     """
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     may_link = np.full(distance.shape, matched is None)
-    for pair in matched or ():
-        may_link[np.ix_(*[[names.index(name) for name in pair]] * 2)] = True
+    place = {name: k for k, name in enumerate(names)}
+    for first, second in matched or ():
+        may_link[place[first], place[second]] = may_link[place[second], place[first]] = True
     distance = np.where(may_link, distance, np.inf)
     for middle in range(len(names)):
         distance = np.minimum(distance, distance[:, middle, None] + distance[middle])
