@@ -59,7 +59,7 @@ def pair_above(unit: np.ndarray, distance: float, baseline: float, heading_deg: 
     return rectify(first, photograph(way, -75.0, unit, distance), SIZE)
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 1.0, 4.0, 10.0, 180.0], ids="{:.0f}".format)
+@pytest.mark.parametrize("tilt_deg", [0.0, 1.0, 2.0, 4.0, 7.0, 10.0, 180.0], ids="{:.0f}".format)
 @pytest.mark.parametrize("heading_deg", [0.0, 77.0, 200.0])
 def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(tilt_deg, heading_deg) -> None:
     """And a ceiling as a floor is."""
