@@ -29,7 +29,7 @@ def test_depth_comes_from_files_where_all_have_one(tmp_path: Path, pair: Hall) -
     assert pair.plan(depth="matching").config.depth.kind == "matching"
     write_entries(tmp_path, pair.images, depth=None)
     assert pair.plan().config == replace(
-        PRESETS[DEFAULT_PRESET].config, adaptive=False, fallback="soft"
+        PRESETS[DEFAULT_PRESET].config, adaptive=False, fallback="auto"
     )  # too few frames for flat surfaces
     pair.refuses(PoseError, r"'depth' file for every panorama, got none for p0\.png, p1\.png", depth="file")
 

@@ -20,7 +20,7 @@ from omnisyn_cli.poses.file import read_poses
 
 # Columns at which features are found; how far away the same may be; greatest distance of square-root descriptors.
 WIDTH, MAX_ANGLE, MAX_DISTANCE = 1024, np.radians(30.0), 0.55
-# At most so many per picture, and the least contrast of SIFT: low, so that soft frames have enough.
+# At most so many per picture, and the least contrast of SIFT: low, so that blurred frames have enough.
 FEATURES, MIN_CONTRAST = 4000, 0.02
 
 
@@ -59,7 +59,7 @@ def main() -> None:
         images = [folder / names[0], folder / names[-1]]
         shares = {}
         with tempfile.TemporaryDirectory() as place:
-            for fallback in ("none", "crossfade", "soft"):
+            for fallback in ("none", "crossfade"):
                 frames = Path(place) / fallback
                 summary = om.interpolate(
                     images, folder / arguments.poses, frames, frames=5, size="1024x512", fallback=fallback

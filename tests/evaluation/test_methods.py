@@ -162,7 +162,7 @@ REFUSED = {
                  "matching:depth=5x5", "matching:depth=x", "matching:cut", "matching:speed=1", "matching:cut=0.1:x",
                  ""),
     "got both in 'oracle-depth:views=1:fusion=network'": ("oracle-depth:views=1:fusion=network",),
-    "fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, fallback=soft": tuple(
+    "fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, fallback=auto": tuple(
         f"oracle-depth:{parameter}" for parameter in
         ("fusion=mean", "fusion=", "model=none", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1")
     ),
@@ -239,8 +239,7 @@ def test_a_renderer_can_be_chosen_for_any_method(hall, renderer):
 @pytest.mark.parametrize(
     ("factor", "parameter", "options", "plain", "change"),
     [(1.5, ":fusion=network", {"fusion": "network"}, "", 0.01),
-     (4.0, ":fallback=soft", {"soften": True}, ":fallback=none", 0.1),
-     (4.0, ":fallback=crossfade", {"cross_fade": True}, ":fallback=none", 0.1)],
+     (4.0, ":fallback=crossfade", {"faded_below": 0.3}, ":fallback=none", 0.1)],
 )  # fmt: skip
 def test_what_the_views_contradict_is_what_the_product_makes_of_it(hall, factor, parameter, options, plain, change):
     """With wrong depth the views contradict each other, and if it is far wrong, their confidence is low."""

@@ -74,15 +74,13 @@ def between(views: Pair, t: float) -> Waypoint:
 
 def frame_of(
     views: Pair, size: tuple[int, int] = SIZE, t: float = 0.4, fuser: Any = None, curve: ExposureCurve | None = None,
-    *, on_gpu: bool = False, floats: bool = False, soft: bool = False, **options: Any,
+    *, on_gpu: bool = False, floats: bool = False, **options: Any,
 ) -> Frame:  # fmt: skip
     chosen, fuser = SynthesisOptions(size, threads=1, **options), fuser or GeometricFuser(size, threads=1, edges=False)
     device = DeviceFrames(chosen, fuser) if on_gpu else None
     pair = SurfaceMethod(KnownDepth(), chosen, fuser, device=device).prepare(0, views)
     if curve is not None:
         pair.prepared = replace(pair.prepared, cross_check=replace(pair.prepared.cross_check, curve=curve))
-    if soft:
-        pair.prepared = replace(pair.prepared, soft_depths=pair.depths)
     (frame,) = pair.frames([between(views, t)], None if floats else lambda: np.empty((*size, 3), np.uint8))
     assert device is None or device.failure is None, device.failure
     nearest = max(layer.inverse_depth.max() for layer in pair.renderings(frame.waypoint))
@@ -114,7 +112,7 @@ def main() -> None:
         "ghosts": (haunted, {"size": large}, {"size": large, "fuser": keeps_ghosts}),
         "holes": (masked, {"t": 0.01}, {"t": 0.5}), "faded masks": (shown, {"t": 0.01}, {"t": 0.5}),
         "edges": (room, {"fuser": GeometricFuser(SIZE, threads=1)}, {}), "adaptive": (street, {"adaptive": True}, {}),
-        "confidence": (haunted, {"confidence": True}, {"t": 0.5}), "soft": (street, {"soft": True}, {}),
+        "confidence": (haunted, {"confidence": True}, {"t": 0.5}), "cross-fade": (haunted, {"faded_below": 2.0}, {}),
         "flat": (street, {"size": PerspectiveSize(36, 64, math.radians(90))}, {"size": PerspectiveSize(36, 64, 1.5)}),
         "network": (haunted, {"size": large, "fuser": network, "curve": BRIGHTER}, {"size": large, "curve": BRIGHTER}),
         "one place": (turned, {"t": 0.3}, {"t": 0.5}),

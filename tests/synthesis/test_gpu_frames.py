@@ -25,8 +25,8 @@ from synthesis_samples import SIZE, hall_view, posed
 
 HERE = Path(__file__).parent
 CASES = (
-    "plain", "room", "exposure", "ghosts", "holes", "faded masks", "edges", "adaptive", "confidence", "soft", "flat",
-    "network", "one place", "numbers",
+    "plain", "room", "exposure", "ghosts", "holes", "faded masks", "edges", "adaptive", "confidence", "cross-fade",
+    "flat", "network", "one place", "numbers",
 )  # fmt: skip
 
 

@@ -67,9 +67,9 @@ def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: tuple[V
     """It is the mean of both photographs there, and closer to the truth than what the wrong poses make."""
     first, middle, last = room
     wrong = disturbed(last, 8.0, 0.4)
-    plain, faded = (half_way(first, middle, wrong, KnownDepth(), cross_fade=on) for on in (False, True))
+    plain, faded = (half_way(first, middle, wrong, KnownDepth(), faded_below=score) for score in (0.0, 0.3))
     assert ws_psnr(faded, middle.image) > ws_psnr(plain, middle.image)
-    good = [half_way(first, middle, last, KnownDepth(), cross_fade=on) for on in (False, True)]
+    good = [half_way(first, middle, last, KnownDepth(), faded_below=score) for score in (0.0, 0.3)]
     np.testing.assert_array_equal(good[0], good[1])
 
 
@@ -155,26 +155,23 @@ def test_wrong_poses_are_warned_about_or_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("is_doubtful", [True, False])
-def test_a_doubtful_pair_gets_soft_surfaces_and_keeps_its_photographs_at_the_ends(
-    is_doubtful, tmp_path, monkeypatch
-) -> None:
+def test_a_doubtful_pair_is_cross_faded_and_keeps_its_photographs_at_the_ends(is_doubtful, tmp_path: Path) -> None:
     job = hall_job(tmp_path)
-    if is_doubtful:  # so much that nothing confirms its ceiling either
-        monkeypatch.setattr("omnisyn_cli.synthesis.soft_surface.MIN_CEILING_SHARE", -1.0)
+    if is_doubtful:
         edit_poses(tmp_path, lambda panoramas: panoramas["p1.png"].update(rotation=[0.8, 0.0, 0.6, 0.0]))
     shown = {}
-    for fallback in ("soft", "none"):
+    for fallback in ("auto", "none"):
         one = replace(job, output=tmp_path / fallback, fallback=fallback)
         summary = run_interpolation(plan_interpolation(one))
         assert bool(summary.warnings()) == is_doubtful
-        is_soft = is_doubtful and fallback == "soft"
-        assert any("on soft surfaces" in line for line in summary.lines()) == is_soft
-        assert any("; drawn on soft surfaces; " in line for line in summary.warnings()) == is_soft
-        assert [pair["soft"] for pair in summary.describe()["confidence"]["pairs"]] == [is_soft]
+        is_faded = is_doubtful and fallback == "auto"
+        assert any("), cross-faded, weakest" in line for line in summary.lines()) == is_faded
+        assert any("; cross-faded; " in line for line in summary.warnings()) == is_faded
+        assert [pair["is_faded"] for pair in summary.describe()["confidence"]["pairs"]] == [is_faded]
         shown[fallback] = read_frames(one.output)
     for end in (0, 2):
-        np.testing.assert_array_equal(shown["soft"][end], shown["none"][end])
-    assert np.array_equal(shown["soft"][1], shown["none"][1]) == (not is_doubtful)
+        np.testing.assert_array_equal(shown["auto"][end], shown["none"][end])
+    assert np.array_equal(shown["auto"][1], shown["none"][1]) == (not is_doubtful)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_the_other_presets_are_drawn_exactly_and_cut_relatively(tmp_path: Path, 
     plan = plan_interpolation(job_of(tmp_path, images, preset="paper"))
     for name in SCALE:
         other = plan_interpolation(job_of(tmp_path, images, preset=name, adaptive=True))
-        assert other.config == replace(PRESETS[name].config, fallback="soft")
+        assert other.config == replace(PRESETS[name].config, fallback="auto")
         assert (other.config.renderer, other.config.cut) == ("mesh", USUAL.cut)
         plan = replace(plan, job=replace(plan.job, adaptive=True))
         assert with_preset(plan, name).describe() == other.describe()

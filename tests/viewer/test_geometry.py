@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-import omnisyn_cli as om
 from interpolation_samples import tour_job
 from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blend_layers, view_weights
@@ -189,21 +188,6 @@ def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Pat
         "gain" not in changes, "nadir" not in changes,
     )  # fmt: skip
     other.page.page.context.close()
-
-
-def test_soft_surfaces_are_those_of_the_video(shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("omnisyn_cli.synthesis.soft_surface.MAX_SOFT_SCORE", 2.0)
-    soft = taken(tmp_path, shot.opened)
-    assert soft.pair.is_soft
-    names = [str(image) for image in soft.plan.job.images]
-    views = om.read_views(names, str(soft.plan.job.poses))
-    config = RunConfig(cut=soft.plan.config.cut, edges=False, fallback="soft")
-    method = make_method(config, SIZE, estimator=KnownDepth())
-    pair = method.prepare(0, views)
-    for t in (0.4, 0.5):
-        frame = pair.frame(Waypoint(segment=0, t=t, pose=soft.pose(t))).image
-        assert ws_psnr(soft.page.unfolded(soft.pose(t), SIZE), np.clip(frame, 0, 1)) >= 38.0
-    soft.page.page.context.close()
 
 
 def test_half_way_the_page_has_what_the_network_changes(shot: Shot) -> None:

@@ -177,10 +177,9 @@ def test_a_shorter_walk_in_its_place_leaves_nothing_of_the_longer_one(tmp_path: 
     assert set(walk) == {*files, "index.html", "omnisyn-walk.js", "walk.json", "mine.txt"}
 
 
-@pytest.mark.parametrize("fallback", ["fail", "crossfade", "soft", "none"])
-def test_a_doubtful_pair_is_given_up_faded_or_soft_if_that_is_asked_for(tmp_path, monkeypatch, fallback: str) -> None:
-    """Two pictures of different places: their depth files say nothing true of the other one, nor of a ceiling."""
-    monkeypatch.setattr("omnisyn_cli.synthesis.soft_surface.MIN_CEILING_SHARE", -1.0)
+@pytest.mark.parametrize("fallback", ["fail", "crossfade", "auto", "none"])
+def test_a_doubtful_pair_is_given_up_or_faded_if_that_is_asked_for(tmp_path: Path, fallback: str) -> None:
+    """Two pictures of different places: their depth files say nothing true of the other one."""
     images = write_hall(tmp_path, CHAIN[:2])
     write_image(images[1], np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8))
     if fallback == "fail":
@@ -189,18 +188,14 @@ def test_a_doubtful_pair_is_given_up_faded_or_soft_if_that_is_asked_for(tmp_path
         assert not (tmp_path / "walk.html").exists()
         return
     (link,) = manifest_of(made(tmp_path, images, fallback=fallback).read_text())["links"]
-    assert (link["isCrossFade"], link["isSoft"]) == (fallback == "crossfade", fallback == "soft")
+    assert link["isCrossFade"] == (fallback != "none")
 
 
-@pytest.mark.parametrize(("is_chain", "is_soft", "surfaces"), [(False, False, 3), (False, True, 4), (True, True, 4)])
-def test_soft_pairs_have_surfaces_of_their_own(tmp_path, monkeypatch, is_chain, is_soft, surfaces) -> None:
-    """In a tour the other links share one surface for each panorama."""
-    if is_soft:  # nothing is reliable
-        for name in ("MAX_SOFT_SCORE", "REPLACED_RELIABILITY", "KEPT_RELIABILITY"):
-            monkeypatch.setattr(f"omnisyn_cli.synthesis.soft_surface.{name}", 2.0 + (name == "KEPT_RELIABILITY"))
+@pytest.mark.parametrize("is_chain", [False, True])
+def test_links_share_one_surface_for_each_panorama(tmp_path: Path, is_chain: bool) -> None:
     manifest = manifest_of(made(tmp_path, write_hall(tmp_path, CHAIN), is_chain=is_chain).read_text())
-    assert [link["isSoft"] for link in manifest["links"]] == 2 * [is_soft]
-    assert len(manifest["surfaces"]) == surfaces
+    assert len(manifest["links"]) == 2
+    assert len(manifest["surfaces"]) == 3
 
 
 def unpacked(packed: bytes, shape: tuple[int, int], dtype: type) -> np.ndarray:

@@ -104,9 +104,9 @@ if TYPE_CHECKING:
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @click.option("--nadir-fill", is_flag=True, help="Fill masked areas with ground in the first and last frame, too.")
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="soft",
-    help="For poor pairs. soft: one smooth surface, indoors; crossfade: cross-faded regions; none: a warning; fail: "
-    "exit code 3.",
+    "--fallback", type=click.Choice(list(FALLBACKS)), default="auto",
+    help="For poor pairs. auto: the worst are cross-faded where confidence is low; crossfade: all are; none: a "
+    "warning; fail: exit code 3.",
 )  # fmt: skip
 @click.option(
     "--audio", metavar="FILE", type=FilePath(),

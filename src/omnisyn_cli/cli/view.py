@@ -45,9 +45,9 @@ OPENER_SECONDS = 2.0  # after which it has found one: it may go on for as long a
 @surface_options
 @device_option("Where networks run; auto uses a GPU if ONNX Runtime has one.")
 @click.option(
-    "--fallback", type=click.Choice(FALLBACKS), default="soft",
-    help="For pairs of low confidence. soft: one smooth surface, indoors; crossfade: cross-faded photographs; none: a "
-    "warning; fail: exit code 3.",
+    "--fallback", type=click.Choice(list(FALLBACKS)), default="auto",
+    help="For pairs of low confidence. auto: the worst are cross-faded; crossfade: all are; none: a warning; fail: "
+    "exit code 3.",
 )  # fmt: skip
 @output_options
 def view(

@@ -331,7 +331,7 @@ DEFAULT_METHODS = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCAL
 # What it stands for between photographs; the last one is what ``interpolate`` does.
 PHOTOGRAPH_METHODS = (
     "crossfade", "flow", "matching:nadir=auto", f"omnisyn-{DEFAULT_PRESET}:nadir=auto",
-    f"omnisyn-{DEFAULT_PRESET}:fallback=soft:nadir=auto",
+    f"omnisyn-{DEFAULT_PRESET}:fallback=auto:nadir=auto",
 )  # fmt: skip
 
 

@@ -34,7 +34,6 @@ class KernelRule(NamedTuple):
     t: np.float32
     disagreement: np.float32
     hidden_weight: np.float32
-    dissolves: bool
 
 
 class Quantization(NamedTuple):
@@ -47,7 +46,7 @@ class Quantization(NamedTuple):
 
 def kernel_rule(rule: BlendRule) -> KernelRule:
     """The rule as kernels take it."""
-    return KernelRule(np.float32(rule.t), np.float32(rule.disagreement), np.float32(rule.hidden_weight), rule.dissolves)
+    return KernelRule(np.float32(rule.t), np.float32(rule.disagreement), np.float32(rule.hidden_weight))
 
 
 def quantization_for(out: np.ndarray) -> Quantization:
@@ -112,11 +111,7 @@ def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, 
     is_both = min(a, b) > zero
     share_a = (one - rule.t) * (rest if gap < zero else one)
     share_b = rule.t * (one if gap < zero else rest)
-    a, b = a * share_a if is_both else a, b * share_b if is_both else b
-    scale = one / max(a + b, np.float32(1e-37)) if rule.dissolves else one
-    c, d = a * scale, b * scale
-    c, d = c * c, d * d
-    return c * c if rule.dissolves else a, d * d if rule.dissolves else b
+    return a * share_a if is_both else a, b * share_b if is_both else b
 
 
 @inlined(fastmath=True)

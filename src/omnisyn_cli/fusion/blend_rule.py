@@ -7,10 +7,8 @@ The weight of a layer is the product of
 * its proximity, (distance from the target / distance from the source)³: a nearer photograph is sharper there;
 * visibility: where the inverse depths differ, the nearer surface hides the farther one.
 
-A dissolve takes the shares of both to the fourth power, so that most places show one layer alone, and change over from
-a tenth to nine tenths in a quarter of the way. Chosen by eye on two real restaurants. On ray-traced scenes with true
-depth the share alone has 30.8 dB, with proximity 31.1 dB; a factor for the angle at which a surface was seen lost 0.1
-dB.
+On ray-traced scenes with true depth the share alone has 30.8 dB, with proximity 31.1 dB; a factor for the angle at
+which a surface was seen lost 0.1 dB.
 
 Its twin for one pixel in kernels is :func:`omnisyn_cli.fusion.blend_kernels.view_weights`; a test ties the two.
 """
@@ -40,14 +38,13 @@ class BlendRule:
     disagreement: float  # relative difference of inverse depth at which a hidden surface is down to 1/e of its weight
     hidden_weight: float  # the least share of its weight that a hidden surface keeps here: all of it at both ends
     occlusion_strength: float  # how strictly the nearer surface wins: 0 at both ends of the way, 1 in between
-    dissolves: bool = False  # whether most places show one layer alone
 
     @staticmethod
-    def at(t: float, *, dissolves: bool = False) -> "BlendRule":
+    def at(t: float) -> "BlendRule":
         """At a share ``t`` of the way; visibility sets in by a smooth step from either end."""
         x = min(1.0, min(t, 1.0 - t) / RAMP_SHARE)
         occlusion_strength = x * x * (3.0 - 2.0 * x)
-        return BlendRule(t, OCCLUSION_SCALE, HIDDEN_WEIGHT**occlusion_strength, occlusion_strength, dissolves)
+        return BlendRule(t, OCCLUSION_SCALE, HIDDEN_WEIGHT**occlusion_strength, occlusion_strength)
 
 
 @dataclass(frozen=True)
@@ -87,11 +84,7 @@ def view_weights(
     is_both = first.is_seen & second.is_seen
     shared_a = (1.0 - rule.t) * a * xp.where(gap < 0.0, rest, one)
     shared_b = rule.t * b * xp.where(gap < 0.0, one, rest)
-    weights = xp.where(is_both, shared_a, a), xp.where(is_both, shared_b, b)
-    if not rule.dissolves:
-        return weights
-    total = xp.clip(weights[0] + weights[1], min=1e-37)
-    return (weights[0] / total) ** 4, (weights[1] / total) ** 4
+    return xp.where(is_both, shared_a, a), xp.where(is_both, shared_b, b)
 
 
 def normalized_depth_gap(first: LayerArrays, second: LayerArrays, disagreement: float) -> Float[Array, "*pixels"]:

@@ -23,7 +23,6 @@ from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourS
 REGION_ROWS = 32  # rows of the coarse grid of regions: about 6°. Set by hand.
 # Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Set by hand.
 GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
-MIN_PAIR_SCORE = 0.3  # score below which a clip is unreliable: a plain cross-fade is about as close to the truth
 MIN_SCORE_DB, MAX_SCORE_DB = 12.0, 36.0  # decibels that score 0 and 1. Set by hand.
 # Root mean square difference over the channels above which two colours are different ones. Set by hand.
 MAX_COLOUR_RMS = 0.1
@@ -132,15 +131,6 @@ class PairConfidence:
         }  # fmt: skip
 
 
-class WindowComparison(NamedTuple):
-    """Two layers compared in windows of some 8 degrees, ``(height, width)`` each."""
-
-    likeness: np.ndarray  # of their structure, in [-1, 1]: covariance over the mean of both variances
-    contrast: np.ndarray  # standard deviation of grey values, of the layer that has more
-    difference: np.ndarray  # of the mean grey values
-    seen: np.ndarray  # share of the window that both layers show
-
-
 def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:
     """``across``: each photograph and the other view's layer there; ``middle``: both half way; of equal exposure."""
     errors = [_mean_error(own, other) for own, other in (*across, middle)]
@@ -174,14 +164,6 @@ def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:
 
 def _doubling(one: Layer, other: Layer) -> float:
     """Share of seen windows with contrast whose structure differs: contours side by side are there twice."""
-    windows = compare_windows(one, other)
-    has_contrast = _seen(one) & _seen(other) & (windows.contrast > MIN_CONTOUR_CONTRAST)
-    weight = solid_angles(*has_contrast.shape) * has_contrast
-    return float((weight * (windows.likeness < MIN_CONTOUR_LIKENESS)).sum() / max(float(weight.sum()), 1e-9))
-
-
-def compare_windows(one: Layer, other: Layer) -> WindowComparison:
-    """What two layers of one size and exposure show in windows around pixels, compared where both show something."""
     seen = (_seen(one) & _seen(other)).astype(np.float32)
     a, b = (np.clip(layer.colour[..., :3], 0.0, 1.0).mean(axis=-1) for layer in (one, other))
     side = max(3, len(seen) // CONTOUR_ROWS)
@@ -189,13 +171,12 @@ def compare_windows(one: Layer, other: Layer) -> WindowComparison:
     def mean(values: np.ndarray) -> np.ndarray:
         return filter_across_seam(lambda image: cv2.blur(image, (side, side)), values * seen, side)
 
-    share = mean(np.ones_like(seen))
-    count = np.maximum(share, 1e-6)
+    count = np.maximum(mean(np.ones_like(seen)), 1e-6)
     mean_a, mean_b = mean(a) / count, mean(b) / count
     variance_a, variance_b = mean(a * a) / count - mean_a**2, mean(b * b) / count - mean_b**2
     likeness = 2.0 * (mean(a * b) / count - mean_a * mean_b) / np.maximum(variance_a + variance_b, 1e-9)
-    contrast = np.sqrt(np.maximum(np.maximum(variance_a, variance_b), 0.0))
-    return WindowComparison(likeness, contrast, np.abs(mean_a - mean_b), share)
+    weight = solid_angles(*seen.shape) * seen * (np.maximum(variance_a, variance_b) > MIN_CONTOUR_CONTRAST**2)
+    return float((weight * (likeness < MIN_CONTOUR_LIKENESS)).sum() / max(float(weight.sum()), 1e-9))
 
 
 def _weakest_direction(one: Layer, other: Layer) -> tuple[float, float, float]:

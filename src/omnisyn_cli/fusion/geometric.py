@@ -55,12 +55,11 @@ class GeometricFuser:
         return out
 
     def blend_by_rule(
-        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None,
-        *, dissolves: bool = False,
-    ) -> Picture:  # fmt: skip
-        """As a call, but by the blend rule alone: ghosts stay. ``dissolves``: see :class:`BlendRule`."""
-        out, rule = self._output_buffer(out), BlendRule.at(t, dissolves=dissolves)
-        self.blend(self._with_confidence(first, second, confidence), rule, out)
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
+    ) -> Picture:
+        """As a call, but by the blend rule alone: ghosts stay."""
+        out = self._output_buffer(out)
+        self.blend(self._with_confidence(first, second, confidence), BlendRule.at(t), out)
         return out
 
     def blend(self, layers: LayerPair, rule: BlendRule, out: Picture) -> None:

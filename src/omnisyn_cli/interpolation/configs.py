@@ -30,7 +30,7 @@ def surface_config(job: TourJob, entries: Sequence[PosedPanorama]) -> RunConfig:
     kind = _depth_kind(job, entries, defaults)
     has_default_cut = job.cut is None and job.cut_metres is None
     descriptors = defaults.depth.descriptors if kind == defaults.depth.kind else None
-    is_as_published = job.fallback == "soft" and job.preset in REPRODUCTIONS  # which know nothing of soft surfaces
+    is_as_published = job.fallback == "auto" and job.preset in REPRODUCTIONS  # which show what they make
     return RunConfig(
         DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults), *_prior(job, kind, defaults), descriptors),
         cut=defaults.cut if has_default_cut else job.cut,

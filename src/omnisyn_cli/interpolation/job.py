@@ -34,7 +34,7 @@ POSES_FROM_PICTURES = Path("auto")  # stands for a pose file where there is none
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "method": tuple(name for name, method in METHODS.items() if method.is_offered), "preset": tuple(PRESETS),
     "depth": ("auto", *DEPTH_SOURCES), "renderer": ("auto", *RENDERERS), "fusion": ("auto", *FUSIONS), "ease": EASES,
-    "heading": HEADINGS, "device": DEVICES, "fallback": FALLBACKS, "projection": ("equirectangular", "flat"),
+    "heading": HEADINGS, "device": DEVICES, "fallback": tuple(FALLBACKS), "projection": ("equirectangular", "flat"),
     "stereo": ("mono", "top-bottom"),
 }  # fmt: skip
 
@@ -64,7 +64,7 @@ class TourJob:
             None finds by itself what moves with the camera, see :mod:`omnisyn_cli.synthesis.camera_fixed`.
         nadir_fill: continue the ground over what is not used at the ends of the way as well, where the photograph is
             shown otherwise.
-        fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`; ``soft`` changes videos and walks.
+        fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`; it changes videos and walks.
         threads: at most this many; None is one per core.
         overwrite: replace what exists.
         allow_aspect: resample panoramas that are not 2:1.
@@ -129,7 +129,7 @@ class InterpolationJob(TourJob):
 
     Attributes:
         output: video file, folder or file name pattern.
-        fallback: as of every job; by default surfaces of such pairs are soft.
+        fallback: as of every job.
         frames: number of frames; None follows from ``duration`` and ``fps``.
         duration: seconds; None means three per pair.
         fps: frames per second.
@@ -153,7 +153,7 @@ class InterpolationJob(TourJob):
         audio: file whose sound the video gets, cut or padded with silence to its length; None leaves it silent.
     """
 
-    fallback: str = "soft"
+    fallback: str = "auto"
     frames: Annotated[int, Ge(2)] | None = None
     duration: Positive | None = None
     fps: Annotated[float, Interval(gt=0, le=1000)] = 30.0

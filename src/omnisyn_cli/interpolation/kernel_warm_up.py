@@ -25,9 +25,8 @@ from omnisyn_cli.render.raster_kernels import rasterize_blocks
 # Rows and columns of its panoramas: enough for every stage, the fusion network too; next to nothing to compute.
 TINY_SIZE = (64, 128)
 
-# The library starts no further process. Two threads have the kernels that one alone can do without, and soft surfaces
-# (``fallback``) would do without the network. Simplified meshes (``adaptive``) are left to the first process, which
-# comes to them early: it would be waited for.
+# The library starts no further process. Two threads have the kernels that one alone can do without. Simplified meshes
+# (``adaptive``) are left to the first process, which comes to them early: it would be waited for.
 TINY_VIDEO = """
 import sys
 from pathlib import Path

@@ -27,9 +27,10 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.poses.floor import wall_distance
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
-from omnisyn_cli.synthesis import prepared_pair, soft_surface
+from omnisyn_cli.synthesis import prepared_pair
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
+from omnisyn_cli.synthesis.ground import continue_ground
 from omnisyn_cli.types import DepthEstimate, View
 
 PanoramaReader = Callable[..., Panorama]
@@ -186,7 +187,6 @@ class PairSurfaces:
     index: int  # of the pair in the plan: in a chain that of its first panorama
     surfaces: tuple[PanoramaSurface, PanoramaSurface]
     cross_check: CrossCheck  # how differently they are exposed, and how far what is made of them can be relied on
-    is_soft: bool = False  # uncut, dissolving into each other (:mod:`omnisyn_cli.synthesis.soft_surface`)
 
 
 def tour_surfaces(
@@ -209,30 +209,27 @@ def tour_surfaces(
             options = prepared_pair.SynthesisOptions(size, cut=cut, threads=threads)
             depths, check = prepared_pair.measure_pair(index, tour, options, clock)
             with clock("mesh"):
-                softened = soft_surface.soft_depths(views, depths, check) if config.fallback == "soft" else None
-                pair = pair_surfaces(plan, index, views, softened or depths, check, is_soft=softened is not None)
+                pair = pair_surfaces(plan, index, views, depths, check)
         refuse_doubtful(plan, index, check.confidence)
         if summary is not None:
             summary.pairs[index] = check.confidence
             summary.left_out.update(loader.left_out)
             summary.walls[index] = wall_distance((views[0].pose, views[1].pose), depths)
-            if pair.is_soft:
-                summary.soft_pairs.append(index)
         yield pair
 
 
 def pair_surfaces(
     plan: TourPlan, index: int, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate],
-    check: CrossCheck, *, is_soft: bool,
+    check: CrossCheck,
 ) -> PairSurfaces:  # fmt: skip
-    """The surfaces of a pair whose depth is known, soft or not; the plan's config says where others are cut."""
+    """The surfaces of a pair whose depth is known, cut as the plan's config says."""
     cut = Cut(plan.config.cut, plan.config.cut_metres)
-    views, depths, cut = prepared_pair.drawn_surfaces(views, depths, cut, is_soft=is_soft)
+    views, depths = continue_ground(views, depths)
     first, second = (
         PanoramaSurface(place, view, depth, mesh_of(view, depth, depth.inverse_depth, cut))
         for place, view, depth in zip(plan.pairs[index], views, depths, strict=True)
     )
-    return PairSurfaces(index, (first, second), check, is_soft)
+    return PairSurfaces(index, (first, second), check)
 
 
 def mesh_of(view: View, depth: DepthEstimate, inverse_depth: Float[np.ndarray, "rows cols"], cut: Cut) -> Mesh:

@@ -33,7 +33,6 @@ from omnisyn_cli.render.eyes import top_bottom
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
 from omnisyn_cli.synthesis.prepared_pair import measure_pair
-from omnisyn_cli.synthesis.soft_surface import soft_depths
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator
 
@@ -154,8 +153,6 @@ class _PairKeeper:
             return
         self._current = pair
         self._summary.pairs[index] = confidence = pair.prepared.cross_check.confidence
-        if pair.prepared.is_soft:
-            self._summary.soft_pairs.append(index)
         if pair.prepared.triangles is not None:
             self._summary.triangles[index] = pair.prepared.triangles
         # without parallax: however the camera moves, it only turns there
@@ -166,7 +163,7 @@ class _PairKeeper:
             self._summary.camera_heights[index] = height
         self._summary.walls[index] = wall_distance((first, second), pair.depths)
         refuse_doubtful(self._plan, index, confidence)
-        self._keep(index, pair.depths, pair.prepared.cross_check, pair.prepared.soft_depths)
+        self._keep(index, pair.depths, pair.prepared.cross_check)
         self._loader.release_floats(index)
 
     def both_eyes(self, frames: Iterator[Frame]) -> Iterator[Frame]:
@@ -190,11 +187,9 @@ class _PairKeeper:
         if self._depth_folder is None and self.packer is None:
             return
         for index in sorted(set(range(len(self._loader) - 1)) - self._summary.pairs.keys()):
-            tour, views = method.depths_of(self._loader), (self._loader[index], self._loader[index + 1])
-            depths, check = measure_pair(index, tour, method.options, self._clock)
-            self._keep(index, depths, check, soft_depths(views, depths, check) if method.options.soften else None)
+            self._keep(index, *measure_pair(index, method.depths_of(self._loader), method.options, self._clock))
 
-    def _keep(self, index: int, depths: Depths, check: CrossCheck, softened: Depths | None = None) -> None:
+    def _keep(self, index: int, depths: Depths, check: CrossCheck) -> None:
         if self._depth_folder is not None:
             for k, estimate in zip((index, index + 1), depths, strict=True):
                 with np.errstate(divide="ignore"):
@@ -203,5 +198,4 @@ class _PairKeeper:
         if self.packer is not None:
             with self._clock("walk"):
                 views = self._loader[index], self._loader[index + 1]
-                is_soft = softened is not None
-                self.packer.add(pair_surfaces(self._plan, index, views, softened or depths, check, is_soft=is_soft))
+                self.packer.add(pair_surfaces(self._plan, index, views, depths, check))

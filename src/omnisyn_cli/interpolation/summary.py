@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
+from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import distance_between, interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_to_angles
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
+from omnisyn_cli.pipeline.config import MIN_PAIR_SCORE
 from omnisyn_cli.poses.registration.diagnosis import camera_height_sentence, is_plausible_camera_height
 
 # Least score of a word. Set by hand.
@@ -44,8 +45,6 @@ class TourSummary:
     pairs: dict[int, PairConfidence] = field(default_factory=dict)
     # share of the sphere that moves with the camera or is painted over, by the index of the panorama
     left_out: dict[int, float] = field(default_factory=dict)
-    # those that soft surfaces stand for (:mod:`omnisyn_cli.synthesis.soft_surface`), by the same index
-    soft_pairs: list[int] = field(default_factory=list)
     # metres to the nearest wall or thing at the height of the cameras, by the same index
     walls: dict[int, float | None] = field(default_factory=dict)
     results: dict[str, Any] = field(default_factory=dict)  # what was made, as plain values
@@ -59,10 +58,14 @@ class TourSummary:
         if not self.plan.config.draws_surfaces:
             return None
         described = {index: pair.describe() for index, pair in self.pairs.items()}
-        pairs = [{"first": index, "soft": index in self.soft_pairs, **pair} for index, pair in described.items()]
+        pairs = [{"first": index, "is_faded": self.is_faded(index), **pair} for index, pair in described.items()]
         columns = {key: [pair[key] for pair in described.values()] for key in next(iter(described.values()), {})}
         score = min(columns.pop("score", [1.0]))
         return {"score": score, **{key: round(fmean(values), 4) for key, values in columns.items()}, "pairs": pairs}
+
+    def is_faded(self, index: int) -> bool:
+        """Whether the photographs of a pair are cross-faded where its confidence is low; a walk's are everywhere."""
+        return self.pairs[index].score < self.plan.config.faded_below
 
     def __repr__(self) -> str:
         worst = f", confidence {min(pair.score for pair in self.pairs.values()):.2f}" if self.pairs else ""
@@ -89,8 +92,8 @@ class TourSummary:
         worst = self.pairs[index]
         word = next(word for least, word in CONFIDENCE_WORDS if worst.score >= least)
         weakest = np.array(worst.weakest)
-        soft = ", on soft surfaces" if index in self.soft_pairs else ""
-        yield f"confidence: {word} ({worst.score:.2f}){soft}, weakest {self.place(index, weakest)}"
+        faded = ", cross-faded" if self.is_faded(index) else ""
+        yield f"confidence: {word} ({worst.score:.2f}){faded}, weakest {self.place(index, weakest)}"
         if remedies := list(self._remedies(index)):
             yield f"to try: {', '.join(remedies)} (docs/confidence.md)"
         if word != CONFIDENCE_WORDS[0][1] and is_report_possible:
@@ -147,7 +150,7 @@ class TourSummary:
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
         return [
-            warning_about(self.plan, index, pair, self.advice, is_soft=index in self.soft_pairs)
+            warning_about(self.plan, index, pair, self.advice, is_faded=self.is_faded(index))
             for index, pair in self.pairs.items()
             if pair.score < MIN_PAIR_SCORE
         ]
@@ -235,13 +238,12 @@ def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
 
 
 def warning_about(
-    plan: TourPlan, index: int, pair: PairConfidence, advice: str = TourSummary.advice, *, is_soft: bool = False
+    plan: TourPlan, index: int, pair: PairConfidence, advice: str = TourSummary.advice, *, is_faded: bool = False
 ) -> str:
     """What is wrong with a pair, what was done about it and what to do, in one line."""
     first, second = (plan.job.images[view] for view in plan.pairs[index])
     return (
         f"{first.name} and {second.name}: expected a confidence of at least {MIN_PAIR_SCORE:g}, got {pair.score:.2f} "
         f"({pair.unseen:.0%} unseen, {pair.depth_disagreement:.0%} in disagreement); "
-        f"{'drawn on soft surfaces; ' if is_soft else ''}check the poses, take panoramas that are closer together, or "
-        f"{advice}"
+        f"{'cross-faded; ' if is_faded else ''}check the poses, take panoramas that are closer together, or {advice}"
     )

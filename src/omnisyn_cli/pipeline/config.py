@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from omnisyn_cli.synthesis.methods import Method
     from omnisyn_cli.types import DepthEstimator, Fuser
 
-__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "RunConfig", "frame_size", "make_method"]
+__all__ = ["DEVICES", "FALLBACKS", "MIN_PAIR_SCORE", "DepthSource", "RunConfig", "frame_size", "make_method"]
 
-# What pairs of low confidence get besides a warning: a smooth surface where depth is not confirmed, the photographs
-# cross-faded in doubtful regions, nothing; or an error.
-FALLBACKS = ("soft", "crossfade", "none", "fail")
+MIN_PAIR_SCORE = 0.3  # confidence of a pair below which the program warns: frames have visible errors in many places
+# What else is done about such pairs, and the score below which their photographs are cross-faded in doubtful regions.
+# Of nine real triples three score below 0.1: for these, and for no other, such fades come nearer to the truth.
+FALLBACKS: dict[str, float] = {"auto": 0.1, "crossfade": MIN_PAIR_SCORE, "none": 0.0, "fail": 0.0}
 DEVICES = ("auto", "cpu", "cuda")  # that networks run on, and that make frames
 
 
@@ -73,6 +74,11 @@ class RunConfig:
         return chosen(FUSIONS, self.fusion, "fusion")
 
     @property
+    def faded_below(self) -> float:
+        """The score below which a pair is cross-faded."""
+        return FALLBACKS[self.fallback]
+
+    @property
     def draws_surfaces(self) -> bool:
         """Whether depth, renderer and fusion matter to its method."""
         return self.method_strategy.draws_surfaces
@@ -104,8 +110,7 @@ def make_method(
 
     options = SynthesisOptions(
         size, config.renderer_strategy.load(), Cut(config.cut, config.cut_metres), threads,
-        cross_fade=config.fallback == "crossfade", soften=config.fallback == "soft", confidence=config.confidence,
-        adaptive=config.adaptive,
+        faded_below=config.faded_below, confidence=config.confidence, adaptive=config.adaptive,
     )  # fmt: skip
     settings = FuserSettings(size, threads, config.fusion_rows, config.edges)
     networks = "auto" if config.device == "cuda" and config.draws_surfaces else config.device

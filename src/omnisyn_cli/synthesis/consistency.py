@@ -38,8 +38,6 @@ class CrossCheck:
 
     curve: ExposureCurve  # how much brighter the second picture is than the first
     confidence: PairConfidence  # the expected quality of frames between them
-    # the photograph and the other view's surface at each panorama, small, at one exposure
-    crossed: tuple[tuple[Layer, Layer], tuple[Layer, Layer]]
 
 
 def equalize_exposure(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
@@ -75,7 +73,7 @@ def cross_check(
         for view, renderer in zip(small_views, renderers, strict=True)
     )
     half_way = match_exposure(first_layer, second_layer, 0.5)
-    return CrossCheck(curve, assess_pair(matched, half_way), matched)
+    return CrossCheck(curve, assess_pair(matched, half_way))
 
 
 def _render_crosswise(

@@ -2,13 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float32, Shaped, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.geometry.perspective import pixels_per_radian
 from omnisyn_cli.geometry.pose import distance_between, rotation_vector_from_rotation
@@ -81,8 +79,6 @@ def fuse_frame(
     with clock("fuse"):
         first, second = ExposureMatcher(pair.cross_check.curve)(seen[0], seen[1], waypoint.t)
         asked = {"out": samples, "confidence": confidence}
-        if pair.is_soft and isinstance(fuser, GeometricFuser):
-            fuser = partial(fuser.blend_by_rule, dissolves=True)
         image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
         frame = finish_frame(pair, image, confidence, waypoint)
     return FusedFrame(

@@ -34,14 +34,13 @@ MAX_GROUND_DEG, MAX_START_DEG = 60.0, 40.0
 RING_DEG = 12.0  # degrees around a gap whose depth says where its ground is. Set by hand.
 
 # Share of what is known around a gap that has to agree on a height, and the relative range that counts as one. The last
-# one is for depth of little confidence, as on soft surfaces.
-MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE, SOFT_HEIGHT_TOLERANCE = 0.4, 0.1, 0.2
+# one is for depth of little confidence.
+MIN_HEIGHT_SHARE, HEIGHT_TOLERANCE, UNSURE_HEIGHT_TOLERANCE = 0.4, 0.1, 0.2
 SAME_GROUND_TOLERANCE = 0.12  # relative difference of inverse depth up to which a pixel shows the ground. Set by hand.
 # Confidence of continued ground: what the other panorama shows there counts more. Set by hand.
 GROUND_CONFIDENCE = 0.05
 
-# Confidence from which on depth is that of the ground itself, and the other panorama's colours are too: soft surfaces
-# have 0.15.
+# Confidence from which on depth is that of the ground itself, and the other panorama's colours are too. Set by hand.
 MIN_GROUND_CONFIDENCE = 0.3
 # Pixels around a gap that its filling has to join, and the greatest difference that is added for it. Set by hand.
 EDGE_PIXELS, MAX_STEP = 4, 0.3
@@ -138,7 +137,7 @@ def _height(view: View, depth: DepthEstimate, gap: Bool[np.ndarray, "height widt
     order = np.argsort(heights)
     heights, sums = heights[order], np.concatenate([[0.0], np.cumsum(weight[order])])
     is_confident = np.median(depth.confidence[usable]) > MIN_GROUND_CONFIDENCE
-    ends = np.searchsorted(heights, heights + (HEIGHT_TOLERANCE if is_confident else SOFT_HEIGHT_TOLERANCE))
+    ends = np.searchsorted(heights, heights + (HEIGHT_TOLERANCE if is_confident else UNSURE_HEIGHT_TOLERANCE))
     within = sums[ends] - sums[: len(heights)]
     best = int(np.argmax(within))
     if within[best] < MIN_HEIGHT_SHARE * sums[-1]:

@@ -1,7 +1,7 @@
 """What the frames between two neighbouring views are made from: their depth and their surfaces."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Float32, Shaped, UInt8
@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Shaped, UInt8
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import both, limited_threads, run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantization_for
-from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, low_confidence_regions
+from omnisyn_cli.fusion.confidence import low_confidence_regions
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.layer_pair import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose, at_same_position
@@ -20,7 +20,6 @@ from omnisyn_cli.render.texture import Texture, make_texture
 from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.ground import continue_ground
-from omnisyn_cli.synthesis.soft_surface import UNCUT, soft_depths
 from omnisyn_cli.types import DepthEstimate, View
 
 FADE_SHARE = 0.05  # share of the way in which what is masked fades: four frames of ninety. Set by hand.
@@ -34,9 +33,7 @@ class SynthesisOptions:
     renderer: RendererClass = MeshRenderer  # draws the surfaces
     cut: Cut = field(default_factory=Cut)  # where meshes are cut
     threads: int | None = None  # at most this many; None is one per core
-    cross_fade: bool = False  # show the photographs, cross-faded, in the doubtful regions of pairs that score low
-    # give pairs under a ceiling that score low a smooth surface where the photographs do not confirm depth
-    soften: bool = False
+    faded_below: float = 0.0  # pairs with a lower score show the photographs, cross-faded, in doubtful regions
     confidence: bool = False  # give every frame a map of its confidence
     # draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a pixel aside
     adaptive: bool = False
@@ -142,13 +139,6 @@ class PreparedPair:
     masked_fade: MaskedFade | None = None  # fades what is masked at the ends; None where nothing masked is shown
     # how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none
     triangles: tuple[int, int] | None = None
-    # where surfaces are uncut and dissolve into each other (:mod:`omnisyn_cli.synthesis.soft_surface`): their depth
-    soft_depths: tuple[DepthEstimate, DepthEstimate] | None = None
-
-    @property
-    def is_soft(self) -> bool:
-        """Whether surfaces are soft."""
-        return self.soft_depths is not None
 
 
 def measure_pair(
@@ -171,11 +161,7 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
     first_view, second_view = chain.links[index]
     whole = chain.views[first_view], chain.views[second_view]
     with clock("mesh"):
-        softened = soft_depths(whole, depths, check) if options.soften else None
-        (first, second), drawn_depths, cut = drawn_surfaces(
-            whole, softened or depths, options.cut, is_soft=softened is not None
-        )
-        options = replace(options, cut=cut)
+        (first, second), drawn_depths = continue_ground(whole, depths)
     masked_fade = None
     if any(view.shows_masked and view.mask is not None for view in whole):
         masked_fade = MaskedFade(whole, options.size, options.threads)
@@ -186,19 +172,12 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
             lambda: _renderer(second, first, drawn_depths[1], options),
         )
     cross_fade = None
-    if options.cross_fade and check.confidence.score < MIN_PAIR_SCORE:
+    if check.confidence.score < options.faded_below:
         images = [usable_image(view, options) for view in (first, second)]
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts, softened)
-
-
-def drawn_surfaces(
-    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, *, is_soft: bool
-) -> tuple[tuple[View, View], tuple[DepthEstimate, DepthEstimate], Cut]:
-    """What surfaces are made of: the ground is continued below masks; soft ones are not cut, others by ``cut``."""
-    return *continue_ground(views, depths), UNCUT if is_soft else cut
+    return PreparedPair(index, poses, depths, renderers, check, cross_fade, masked_fade, counts)
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:

@@ -5,9 +5,10 @@ import pytest
 
 from confidence_samples import generated_views, judged
 from omnisyn_cli.evaluation.metrics.depth import rank_correlation
-from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, assess_pair, confidence_step, low_confidence_regions
+from omnisyn_cli.fusion.confidence import assess_pair, confidence_step, low_confidence_regions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.pipeline.config import MIN_PAIR_SCORE
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import synthesize

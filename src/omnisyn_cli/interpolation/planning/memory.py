@@ -130,7 +130,7 @@ def _bytes_of_frames(job: InterpolationJob, config: RunConfig, size: tuple[int, 
     pyramid, planes = 16 / 3, 1.5
     renderer, fusion = config.renderer_strategy, config.fusion_strategy
     is_held = not renderer.shades_on_demand or (fusion.by_rules and ghost_sample_step(size) == 1)
-    is_judged = config.fallback == "crossfade" or config.confidence
+    is_judged = config.faded_below > 0.0 or config.confidence
     marked = 1 if config.edges and renderer.shades_on_demand and fusion.by_rules else 0
     frame = ROUNDED_COPY_BYTES if is_rounded(job) else 12 + FRAME_COPY_BYTES
     held, judged = 16 if is_held else 0, CONFIDENCE_BYTES if is_judged else 0

@@ -17,7 +17,6 @@ from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, HIDDEN_WEIGHT, RAMP_SHARE
-from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.exposure_curve import ExposureCurve
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
@@ -89,9 +88,9 @@ RULES: Mapping[str, float] = {
 class TourPacker:
     """Packs the pairs of a tour.
 
-    Inside a chain a panorama may have a surface of its own in both its pairs, as its video has. Elsewhere it has one,
-    and one more for each pair whose surfaces are soft. Photographs have at most ``texture`` columns and are JPEG, or
-    PNG if ``is_lossless``. Blocks are written into the folder, or held where there is none.
+    Inside a chain a panorama may have a surface of its own in both its pairs, as its video has. Elsewhere it has one.
+    Photographs have at most ``texture`` columns and are JPEG, or PNG if ``is_lossless``. Blocks are written into the
+    folder, or held where there is none.
     """
 
     def __init__(
@@ -114,14 +113,13 @@ class TourPacker:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
                 self._coarse[surface.index] = coarse_surface(surface)
-        is_ambiguous = self._plan.config.fallback == "crossfade" and pair.cross_check.confidence.score < MIN_PAIR_SCORE
+        is_ambiguous = pair.cross_check.confidence.score < self._plan.config.faded_below
         gains = _gains(pair.cross_check.curve)
-        change = None if is_ambiguous or pair.is_soft else correction_of(self._plan, pair)
+        change = None if is_ambiguous else correction_of(self._plan, pair)
         self._links[pair.index] = {
             "panoramas": [surface.index for surface in pair.surfaces],
-            "surfaces": [self._surface(surface, is_soft=pair.is_soft) for surface in pair.surfaces],
+            "surfaces": [self._surface(surface) for surface in pair.surfaces],
             "isCrossFade": is_ambiguous,
-            "isSoft": pair.is_soft,
             "correction": None if change is None else self.blocks.add_photograph(change, is_lossless=self._is_lossless),
             "exposure": None if gains is None else self.blocks.add(zlib.compress(np.array(gains, "<f4").tobytes(), 9)),
         }
@@ -196,9 +194,9 @@ class TourPacker:
         own = angles_to_direction(np.array(start.yaw), np.array(np.radians(90.0) - start.pitch))
         return {"panorama": index, "direction": (self._plan.entries[index].pose.rotation @ own).tolist(), "fov": fov}
 
-    def _surface(self, surface: PanoramaSurface, *, is_soft: bool) -> int:
-        """The number of the surface; at a crossing that of the first link is taken for all but soft ones."""
-        is_shared = not self._plan.is_chain and not is_soft
+    def _surface(self, surface: PanoramaSurface) -> int:
+        """The number of the surface; at a crossing that of the first link is taken."""
+        is_shared = not self._plan.is_chain
         if is_shared and surface.index in self._surface_of:
             return self._surface_of[surface.index]
         packed = self._packed_surface(surface)

@@ -38,7 +38,7 @@ class ViewJob(TourJob):
     texture: int = 4096  # columns that photographs have at most
     is_lossless: bool = False  # whether photographs are kept as PNG, several times as large, instead of JPEG
     is_folder: bool = False  # whether it becomes a folder for a server instead of one file
-    fallback: str = "soft"  # as of every job; by default surfaces of such pairs are soft
+    fallback: str = "auto"  # as of every job
 
     follows_links = True
 

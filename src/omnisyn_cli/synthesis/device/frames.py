@@ -154,7 +154,7 @@ class _PairFrames:
         while max(sizes[-1]) > 1:
             sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
         small = [(2, *ghosts.downsampled_size), (2, *ghosts.downsampled_size, CHANNELS)]
-        judged = self._size if self._options.confidence or self._options.cross_fade else (0, 0)
+        judged = self._size if self._options.confidence or self._options.faded_below > 0.0 else (0, 0)
         return {
             "depths": [allocate(self._pixels, np.int32) for _ in range(2)],
             "samples": [allocate(4 * edges, np.int32) for _ in range(2)], "marks": allocate(edges, np.uint8),
@@ -174,7 +174,7 @@ class _PairFrames:
     ) -> FusedFrame:  # fmt: skip
         """The frame at a waypoint, see :func:`omnisyn_cli.synthesis.frame.fuse_frame`."""
         poses = [waypoint.pose.inverse() @ pose for pose in prepared.poses]
-        rule = BlendRule.at(waypoint.t, dissolves=prepared.is_soft)
+        rule = BlendRule.at(waypoint.t)
         is_judged = self._options.confidence or prepared.cross_fade is not None
         confidence = np.empty(self._size, np.float32) if is_judged else None
         with clock("render"):
@@ -184,7 +184,7 @@ class _PairFrames:
                 self._draw(views[k].quads, poses[k], self._targets[0]._replace(nearest=self._memory["depths"][k]))
         with clock("fuse"):
             small, suppression = None, None
-            if rule_applies := not (prepared.is_soft or at_same_position(*poses)):
+            if rule_applies := not at_same_position(*poses):
                 small = self._small_layers(frame, poses)
                 suppression = self._fuser.ghosts.detect(*small, rule)
             if suppression is not None:

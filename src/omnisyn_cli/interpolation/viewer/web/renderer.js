@@ -86,7 +86,7 @@ class Renderer {
       usable: scene.views.map((view) => view.mask ?? one),
       trust: scene.views.map((view) => view.surface?.trust ?? one),
       exposure: scene.views.map((view) => view.exposure?.gains ?? one),
-      toSource: turns.map(transposed).map(columns), offset: offsets.flat(), isCrossFade: scene.isCrossFade ? 1 : 0, dissolves: scene.isSoft ? 1 : 0,
+      toSource: turns.map(transposed).map(columns), offset: offsets.flat(), isCrossFade: scene.isCrossFade ? 1 : 0,
       has: scene.views.flatMap((view) => [view.surface, view.mask, view.surface?.trust, view.exposure].map((x) => (x ? 1 : 0))),
       exposed: scene.views.flatMap((view, k) => [scene.t - k, scene.t === k ? 0 : view.exposure?.lossOfWhite(scene.t) ?? 0]),
       rule: [rule.t, DISAGREEMENT, rule.hidden],

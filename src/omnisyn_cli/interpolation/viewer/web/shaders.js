@@ -161,7 +161,6 @@ uniform ivec4 has[2]; // a surface, a mask, trust, another exposure
 uniform vec2 exposed[2]; // share of the way from its own end, share of its weight that white loses
 uniform vec3 rule; // t, disagreement, hidden
 uniform float isCrossFade;
-uniform float dissolves;
 out vec4 fused;
 
 float light(float stored) { return stored <= 0.04045 ? stored / 12.92 : pow((stored + 0.055) / 1.055, 2.4); }
@@ -230,11 +229,7 @@ vec2 viewWeights(vec2 weight, vec2 near, vec3 ray) {
   float depthConfidence = min(1.0, DEPTH_CONFIDENCE_GAIN * (gap > 0.0 ? weight.x : weight.y));
   float rest = 1.0 - depthConfidence * (1.0 - max(exp(-min(gap * gap, 80.0)), rule.z));
   if (min(a, b) <= 0.0) return vec2(a, b);
-  vec2 weights = vec2(a * (1.0 - rule.x) * (gap < 0.0 ? rest : 1.0), b * rule.x * (gap < 0.0 ? 1.0 : rest));
-  if (dissolves < 0.5) return weights;
-  vec2 squared = weights / max(weights.x + weights.y, 1e-37);
-  squared *= squared;
-  return squared * squared;
+  return vec2(a * (1.0 - rule.x) * (gap < 0.0 ? rest : 1.0), b * rule.x * (gap < 0.0 ? 1.0 : rest));
 }
 
 void main() {

@@ -293,7 +293,7 @@ export class OmnisynWalk extends EventTarget {
     if (!renderer || !world.isReady(walker.link)) return undefined;
     this.draw(1);
     const { scene, size } = this.drawn, ray = this.rayAt(x, y), { link } = walker;
-    if (scene.isCrossFade || scene.isSoft) return null; // depth is a guess there
+    if (scene.isCrossFade) return null; // depth is a guess there
     const nearest = Math.round(walker.t), pixel = [x * size[0], (1 - y) * size[1]];
     for (const k of [nearest, 1 - nearest]) {
       const { surface, position, rotation } = scene.views[k];

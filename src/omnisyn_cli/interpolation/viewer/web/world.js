@@ -263,7 +263,7 @@ class World {
     const isPlain = !isReady && (t === 0 || t === 1);
     if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, isPlain: true, views: [shown[0], shown[0]] } : null;
     const correction = isReady ? this.things.get(`correction ${link.index}`)?.texture : null;
-    return { t, isCrossFade: link.isCrossFade || !isReady, isSoft: link.isSoft, isPlain, views, correction, middle: this.pointAt({ link, t: 0.5 }) };
+    return { t, isCrossFade: link.isCrossFade || !isReady, isPlain, views, correction, middle: this.pointAt({ link, t: 0.5 }) };
   }
 
   // Nothing is kept any more, nor what is still on its way.
