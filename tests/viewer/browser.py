@@ -33,7 +33,7 @@ CAPTURE = """async ([pose, fov, size]) => {
     for (let k = 0; k < bytes.length; k += 32768) all += String.fromCharCode(...bytes.subarray(k, k + 32768));
     return btoa(all);
   };
-  return [text(picture.colours), ...picture.inverseDepth.map(text)];
+  return [text(picture.colours), ...picture.inverseDepth.map((values) => text(values ?? new Float32Array()))];
 }"""
 
 
@@ -98,7 +98,7 @@ class WalkPage:
         )
         return (
             np.frombuffer(colours, np.uint8).reshape(height, width, 4)[..., :3],
-            [np.frombuffer(depth, np.float32).reshape(height, width) for depth in depths],
+            [np.frombuffer(depth, np.float32).reshape(height, width) for depth in depths if depth],
         )
 
     def unfolded(self, pose: Pose, size: tuple[int, int]) -> np.ndarray:

@@ -15,7 +15,7 @@ from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose, slerp
-from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sampling import rotated_image, sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.loading import PairSurfaces, tour_surfaces
 from omnisyn_cli.interpolation.plan import TourPlan
@@ -24,7 +24,7 @@ from omnisyn_cli.interpolation.viewer.contents import CORRECTION_SCALE, NO_CORRE
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.interpolation.viewer.run import ViewJob, plan_view
-from omnisyn_cli.pipeline.config import RunConfig, make_method
+from omnisyn_cli.pipeline.config import FALLBACKS, RunConfig, make_method
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, View
@@ -188,6 +188,15 @@ def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Pat
         "gain" not in changes, "nadir" not in changes,
     )  # fmt: skip
     other.page.page.context.close()
+
+
+def test_a_doubtful_pair_is_a_dissolve_of_both_photographs(shot: Shot, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(FALLBACKS, "auto", 2.0)
+    faded = taken(tmp_path, shot.opened)
+    pose = faded.pose(0.25)
+    first, second = (rotated_image(view.image, view.pose.rotation, pose.rotation, SIZE) for view in faded.views)
+    assert ws_psnr(faded.page.unfolded(pose, SIZE), 0.75 * first + 0.25 * second) >= 38.0
+    faded.page.page.context.close()
 
 
 def test_half_way_the_page_has_what_the_network_changes(shot: Shot) -> None:

@@ -248,13 +248,13 @@ class World {
     return null;
   }
 
-  // What is drawn at a place: both views of its link, flat and cross-faded as long as surfaces are missing.
+  // What is drawn at a place: both views of its link, flat if they are cross-faded, as always while surfaces are missing.
   sceneAt({ link, t }) {
-    const isReady = this.isReady(link);
+    const isReady = this.isReady(link), isCrossFade = link.isCrossFade || !isReady;
     const views = link.ends.map((index, k) => {
       const picture = this.pictureOf(index), { position, rotation } = this.panoramas[index];
       if (!picture) return null;
-      const surface = isReady ? this.things.get(`surface ${link.surfaces[k]}`) : null;
+      const surface = isCrossFade ? null : this.things.get(`surface ${link.surfaces[k]}`);
       const exposure = (isReady && this.things.get(`exposure ${link.index}`)?.both[k]) || null;
       const mask = this.things.get(`mask ${index}`)?.texture ?? null;
       return { photo: picture.texture, mask, position, rotation, surface, exposure };
@@ -263,7 +263,7 @@ class World {
     const isPlain = !isReady && (t === 0 || t === 1);
     if (shown.length < 2) return shown.length ? { t: 0, isCrossFade: true, isPlain: true, views: [shown[0], shown[0]] } : null;
     const correction = isReady ? this.things.get(`correction ${link.index}`)?.texture : null;
-    return { t, isCrossFade: link.isCrossFade || !isReady, isPlain, views, correction, middle: this.pointAt({ link, t: 0.5 }) };
+    return { t, isCrossFade, isPlain, views, correction, middle: this.pointAt({ link, t: 0.5 }) };
   }
 
   // Nothing is kept any more, nor what is still on its way.
