@@ -21,7 +21,8 @@ from omnisyn_cli.geometry.sphere import pixel_to_direction, solid_angles
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourStep, Layer
 
 REGION_ROWS = 32  # rows of the coarse grid of regions: about 6°. Set by hand.
-# Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Set by hand.
+# Mean confidence up to which a region is given up, and from which on it is kept; linear in between. Chosen by eye: at
+# 0.05 and 0.2 three real pairs gain 0.2 dB, but are torn again.
 GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
 MIN_SCORE_DB, MAX_SCORE_DB = 12.0, 36.0  # decibels that score 0 and 1. Set by hand.
 # Root mean square difference over the channels above which two colours are different ones. Set by hand.
