@@ -166,7 +166,8 @@ def test_a_doubtful_pair_is_cross_faded_and_keeps_its_photographs_at_the_ends(is
         assert bool(summary.warnings()) == is_doubtful
         is_faded = is_doubtful and fallback == "auto"
         assert any("), cross-faded, weakest" in line for line in summary.lines()) == is_faded
-        assert any("; cross-faded; " in line for line in summary.warnings()) == is_faded
+        assert any("; cross-faded: " in line for line in summary.warnings()) == is_faded
+        assert any("--fallback crossfade" in line for line in summary.warnings()) == (is_doubtful and not is_faded)
         assert [pair["is_faded"] for pair in summary.describe()["confidence"]["pairs"]] == [is_faded]
         shown[fallback] = read_frames(one.output)
     for end in (0, 2):

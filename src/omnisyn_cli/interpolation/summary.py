@@ -242,8 +242,9 @@ def warning_about(
 ) -> str:
     """What is wrong with a pair, what was done about it and what to do, in one line."""
     first, second = (plan.job.images[view] for view in plan.pairs[index])
+    closer = "take panoramas that are closer together"
     return (
         f"{first.name} and {second.name}: expected a confidence of at least {MIN_PAIR_SCORE:g}, got {pair.score:.2f} "
-        f"({pair.unseen:.0%} unseen, {pair.depth_disagreement:.0%} in disagreement); "
-        f"{'cross-faded; ' if is_faded else ''}check the poses, take panoramas that are closer together, or {advice}"
+        f"({pair.unseen:.0%} unseen, {pair.depth_disagreement:.0%} in disagreement)"
+        + (f"; cross-faded: check the poses, or {closer}" if is_faded else f"; check the poses, {closer}, or {advice}")
     )

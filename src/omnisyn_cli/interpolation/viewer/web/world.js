@@ -248,7 +248,7 @@ class World {
     return null;
   }
 
-  // What is drawn at a place: both views of its link, flat if they are cross-faded, as always while surfaces are missing.
+  // What is drawn at a place: both views of its link, flat where they are cross-faded and while surfaces are missing.
   sceneAt({ link, t }) {
     const isReady = this.isReady(link), isCrossFade = link.isCrossFade || !isReady;
     const views = link.ends.map((index, k) => {
