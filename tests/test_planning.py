@@ -19,9 +19,15 @@ from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan, plan_int
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
 from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.pipeline.config import FALLBACKS, MIN_PAIR_SCORE, RunConfig
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.types import DepthEstimate, View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, write_mask
+
+
+def test_the_usual_fallback_fades_the_worst_of_the_pairs_that_are_warned_of() -> None:
+    below = {name: RunConfig(fallback=name).faded_below for name in FALLBACKS}
+    assert below["none"] == below["fail"] == 0.0 < below["auto"] < below["crossfade"] == MIN_PAIR_SCORE
 
 
 def test_depth_comes_from_files_where_all_have_one(tmp_path: Path, pair: Hall) -> None:
