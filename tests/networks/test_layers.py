@@ -15,7 +15,6 @@ from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_d
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
 from omnisyn_cli.networks.guided_depth import (
     FEATURE_SHIFT,
-    GUIDANCE_CHANNELS,
     GUIDED_DEPTH_VARIANTS,
     GuidedDepthConfig,
     GuidedDepthNetwork,
@@ -128,12 +127,12 @@ SMALL = GuidedDepthConfig("small", size=(64, 128), spheres=8, features=8, groups
 def inputs(batch=1, height=64, towards=(0.0, 0.1, -0.995)):
     direction = torch.tensor(towards).view(1, 3, 1, 1).expand(batch, 3, 1, 1)
     pictures = torch.rand(2, batch, 3, height, 2 * height)
-    return pictures[0], pictures[1], direction, torch.zeros(batch, GUIDANCE_CHANNELS, height // 4, height // 2)
+    return pictures[0], pictures[1], direction
 
 
 def awake(network):
     """With last layers that say something: they begin at zero."""
-    for layer in (network.answer2, network.upsampling, network.guide):
+    for layer in (network.answer2, network.upsampling):
         torch.nn.init.normal_(layer.weight, std=0.1)
     return network.eval()
 
@@ -218,16 +217,6 @@ def test_confidence_is_the_share_of_a_laplace_distribution_within_ten_percent():
     within = (sqrt_inv_depth + errors) ** 2 / sqrt_inv_depth**2
     share = np.mean((within < 1.1) & (within > 2 - 1.1))  # nearly symmetric
     assert float(answer.confidence()) == pytest.approx(share, abs=0.01)
-
-
-def test_guidance_counts_only_once_it_has_learned_to():
-    """It begins at zero, so that a network without it is not disturbed when guidance comes."""
-    network, given = GuidedDepthNetwork(SMALL).eval(), list(inputs())
-    with torch.no_grad():
-        without = network(*given).estimate
-        given[3] = torch.rand_like(given[3])
-        torch.testing.assert_close(network(*given).estimate, without)
-        assert (awake(network)(*given).estimate - without).abs().max() > 1e-3
 
 
 def test_onnx_runtime_says_of_guided_depth_what_torch_says(tmp_path):

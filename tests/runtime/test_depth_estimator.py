@@ -186,7 +186,7 @@ def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again(
         image_networks.CompletionSession(Session([], inputs=("first", "second")))
 
 
-def test_a_guided_depth_network_is_asked_without_guidance_and_answers_in_the_unit_of_the_way() -> None:
+def test_a_guided_depth_network_answers_in_the_unit_of_the_way() -> None:
     """A plain grey room says nothing about parallax: whatever the way is called, the network guesses alike."""
     ask = image_networks.GuidedDepthSession(lambda: open_model("depth-guided", threads=1, keeps_memory=False))
     grey = np.full((3, 256, 512), 0.5, np.float32)

@@ -22,7 +22,6 @@ from omnisyn_cli.interpolation.planning.prior import with_prior_cost
 from omnisyn_cli.runtime import monocular_session
 from omnisyn_cli.runtime.monocular_session import MonocularSession, NetworkKind
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.stereo import matching_estimator
 
 PICTURE = np.random.default_rng(0).random((3, 16, 32)).astype(np.float32)
 
@@ -153,7 +152,6 @@ KILLED_RUN = """
 import os, signal, sys
 from pathlib import Path
 from omnisyn_cli.cli import main
-from omnisyn_cli.stereo import matching_estimator
 
 def write(file, content, write_all=Path.write_bytes):
     if b"NUMPY" in content:
@@ -161,7 +159,7 @@ def write(file, content, write_all=Path.write_bytes):
         os.kill(os.getpid(), signal.SIGKILL)
     write_all(file, content)
 
-Path.write_bytes, matching_estimator.WELL_MATCHED_SHARE = write, 2.0
+Path.write_bytes = write
 main(sys.argv[1:])
 """
 
@@ -177,7 +175,6 @@ def test_a_run_that_is_killed_while_an_answer_is_written_is_done_again_to_the_sa
     assert killed.returncode == -signal.SIGKILL
     assert sorted(file.suffix for file in answers.iterdir()) == [".json", ".part"]
     plans = [omnisyn.json(*words, tmp_path / "out", "--dry-run")]
-    monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
     omnisyn.made(*words, tmp_path / "out")
     plans.append(omnisyn.json(*words, tmp_path / "new", "--dry-run"))
     for kept, plan in zip((0, 2), plans, strict=True):

@@ -14,6 +14,7 @@ from omnisyn_cli.stereo.expected_depth import expected_planes, fill_as_expected,
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.plane_sweep import sweep_directions
 from omnisyn_cli.stereo.rectify import DepthPrior, rectify
+from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.types import View
 
@@ -159,56 +160,42 @@ def test_a_floor_of_equal_tiles_gets_its_height_from_what_is_expected(views: tup
     assert expecting > 0.9
 
 
-def test_a_prior_that_matches_contradict_is_not_used(views: tuple[View, View], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_prior_that_matches_contradict_is_used_where_the_photographs_confirm_it(
+    views: tuple[View, View], monkeypatch: pytest.MonkeyPatch
+) -> None:
     class KnowsAnotherRoom(KnowsTheRoom):
         def __call__(self, first, second, towards):
             inverse_depth, confidence = super().__call__(first, second, towards)
             return inverse_depth * np.geomspace(0.02, 1.0, inverse_depth.shape[1], dtype=np.float32), confidence
 
-    monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
-    options = MatchingOptions(size=(256, 512))
-    right, wrong = (
-        MatchingDepthEstimator(options, prior=partial(with_guided_priors, model=model())).features(*views)
-        for model in (KnowsTheRoom, KnowsAnotherRoom)
+    right, wrong, without = (
+        MatchingDepthEstimator(MatchingOptions(size=(256, 512)), prior=prior)
+        for prior in (*(partial(with_guided_priors, model=model()) for model in (KnowsTheRoom, KnowsAnotherRoom)), None)
     )
-    without = MatchingDepthEstimator(options).features(*views)
-    assert all(each.expected is not None for each in right)
-    for each, plain in zip(wrong, without, strict=True):
+    assert all(each.expected is not None for (pair,) in [[*right.candidates(*views)]] for each in pair)
+    plain, expecting = wrong.candidates(*views)
+    for each, doubted, unasked in zip(plain, expecting, without.features(*views), strict=True):
         assert each.expected is None
-        np.testing.assert_array_equal(each.matched, plain.matched)
+        assert doubted.expected is not None
+        np.testing.assert_array_equal(each.matched, unasked.matched)
+    monkeypatch.setattr(MatchingDepthEstimator, "candidates", lambda *_: iter((plain, expecting)))
+    for scores, chosen in (((0.5, 0.4), plain), ((0.5, 0.46), expecting), ((0.0, 0.0), expecting)):
+        said = iter(scores)
+        estimator = RefinedDepthEstimator(wrong, None, 0, lambda *_, said=said: next(said))
+        found, other = estimator(*views), RefinedDepthEstimator(wrong, None, 0)._estimates(views, chosen)
+        for one, two in zip(found, other, strict=True):
+            np.testing.assert_array_equal(one.inverse_depth, two.inverse_depth)
 
 
 def test_a_prior_that_nothing_came_of_costs_no_second_matching(views, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever asked for it; one that is used does."""
     match, asked = matching_estimator.match_all_disparities, []
-    monkeypatch.setattr(matching_estimator, "WELL_MATCHED_SHARE", 2.0)
-    monkeypatch.setattr(matching_estimator, "POORLY_MATCHED_SHARE", 0.0)
     monkeypatch.setattr(matching_estimator, "match_all_disparities", lambda *each: asked.append(1) or match(*each))
     counts = []
     for prior in (lambda pair, *_: pair, partial(with_guided_priors, model=KnowsTheRoom())):
         MatchingDepthEstimator(MatchingOptions(size=(64, 128)), prior=prior).features(*views)
         counts.append(len(asked))
     assert counts == [2, 6]
-
-
-def test_a_pair_that_hardly_matches_is_not_labelled_before_the_network_is_asked(views, monkeypatch) -> None:
-    """That saves time and changes nothing."""
-    label, counts, found = matching_estimator.label_surfaces, [], []
-    for share in (0.0, 1.0):
-        labelled: list[object] = []
-        monkeypatch.setattr(matching_estimator, "POORLY_MATCHED_SHARE", share)
-        monkeypatch.setattr(
-            matching_estimator, "label_surfaces", lambda *args, to=labelled: to.append(args[0]) or label(*args)
-        )
-        found.append(
-            MatchingDepthEstimator(
-                MatchingOptions(size=(128, 256)), prior=partial(with_guided_priors, model=KnowsTheRoom())
-            ).features(*views)
-        )
-        counts.append(len(labelled))
-    assert counts == [4, 2]
-    for late, early in zip(*found, strict=True):
-        np.testing.assert_array_equal(late.filled, early.filled)
 
 
 def test_expected_planes_move_to_where_the_images_match(views: tuple[View, View]) -> None:

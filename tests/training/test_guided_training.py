@@ -49,7 +49,6 @@ def test_a_batch_depends_on_the_random_numbers_alone_and_smaller_ones_are_means(
     for name, value in vars(one).items():
         assert torch.equal(value, getattr(same, name)), name
     assert one.first.shape == (2, 3, 32, 64)
-    assert torch.equal(one.guidance, torch.zeros(2, 6, 8, 16))
     with pytest.raises(InputError, match="multiple of 48"):
         draw_guided(pool, np.random.default_rng(0), 1, (48, 96), 2.0)
 
@@ -83,7 +82,7 @@ def prediction(sqrt_inv_depth, log_scale=-3.0):
 
 def batch_of(sqrt_inv_depth, ratio=0.4, is_mesh=True):
     empty, count = torch.zeros(len(sqrt_inv_depth), 6, 1, 1), len(sqrt_inv_depth)
-    return GuidedBatch(*[empty] * 4, sqrt_inv_depth, torch.full((count,), ratio), torch.tensor([is_mesh]))
+    return GuidedBatch(*[empty] * 3, sqrt_inv_depth, torch.full((count,), ratio), torch.tensor([is_mesh]))
 
 
 def test_the_truth_costs_nothing_but_its_doubt():

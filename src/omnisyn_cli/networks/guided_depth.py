@@ -20,11 +20,6 @@ from omnisyn_cli.networks.interface import DepthPrediction, Network, NetworkConf
 from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
 from omnisyn_cli.networks.paper import upsample_linear
 
-STRIDE = 4  # Of the cost volume and of the guidance
-# √(inverse depth × baseline) of the best match, share of a cell that is left-right consistent, share that is sky, root
-# of the filled map, the first of them where it is consistent, and whether there is guidance. All are zero where there
-# is none.
-GUIDANCE_CHANNELS = 6
 SPHERES_AT_ONCE = 3  # Those that features are gathered for: their maps fit the cache of a processor
 # Columns and rows by which centres of quarter-size features are off: see ``STRIDE_CENTRE_OFFSETS``.
 FEATURE_SHIFT = -0.125
@@ -159,7 +154,7 @@ def correlate_gathered(
 
 
 class GuidedDepthNetwork(Network):
-    """Two panoramas, direction and guidance in, the first's depth out; any multiple of ``config.size_multiple``."""
+    """Two panoramas and the direction in, the first's depth out; any multiple of ``config.size_multiple``."""
 
     def __init__(self, config: GuidedDepthConfig) -> None:
         super().__init__()
@@ -171,7 +166,6 @@ class GuidedDepthNetwork(Network):
         self.lateral4, self.lateral8, self.lateral16 = (nn.Conv2d(n, features, 1) for n in (tap4, tap8, tap16))
         self.matched = nn.Sequential(NormalisedConv(features, features), nn.Conv2d(features, features, 1))
         self.reduce = nn.Conv2d(config.groups * config.spheres, width4, 1)
-        self.guide = WrappedConv(GUIDANCE_CHANNELS, width4)
         self.in4 = NormalisedConv(width4 + tap4 + features + GEOMETRY_CHANNEL_COUNT, width4)
         self.down4 = NormalisedBlock(width4)
         self.to8, self.in8 = NormalisedConv(width4, width8), NormalisedConv(width8 + tap8, width8, 1)
@@ -187,7 +181,7 @@ class GuidedDepthNetwork(Network):
         self.up2, self.refine2 = NormalisedConv(width4 + tap2, width2), NormalisedConv(width2, width2)
         self.answer2 = nn.Conv2d(width2, 2, 1)
         self.upsampling = nn.Conv2d(width2, 36, 1)
-        for layer in (self.guide, self.answer2, self.upsampling):
+        for layer in (self.answer2, self.upsampling):
             nn.init.zeros_(layer.weight)
             nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
         nn.init.normal_(self.answer4.weight, std=0.01)
@@ -196,22 +190,20 @@ class GuidedDepthNetwork(Network):
 
     @property
     def ports(self) -> Ports:
-        """Both panoramas at the configured size, guidance at a quarter of it, the direction to the other camera."""
-        height, width = self.config.size
-        own_sizes = {"towards": (1, 1), "guidance": (height // STRIDE, width // STRIDE)}
+        """Both panoramas at the configured size, and the direction to the other camera."""
         return Ports(
-            {"first": 3, "second": 3, "towards": 3, "guidance": GUIDANCE_CHANNELS}, size=self.config.size,
-            own_sizes=own_sizes, notes={"frame": "upright"}, is_folded=False,
+            {"first": 3, "second": 3, "towards": 3}, size=self.config.size, own_sizes={"towards": (1, 1)},
+            notes={"frame": "upright"}, is_folded=False,
         )  # fmt: skip
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"],
-        towards: Float[Tensor, "batch 3 1 1"], guidance: Float[Tensor, "batch 6 rows cols"],
+        towards: Float[Tensor, "batch 3 1 1"],
     ) -> GuidedDepthPrediction:  # fmt: skip
         """The depth of ``first``, given the colours of both in [0, 1], held alike.
 
-        ``towards`` leads to the second camera; a longer one reaches nearer surfaces. ``guidance``: see
-        :data:`GUIDANCE_CHANNELS`. ValueError: the size is not a multiple of ``config.size_multiple``.
+        ``towards`` leads to the second camera; a longer one reaches nearer surfaces. ValueError: the size is not a
+        multiple of ``config.size_multiple``.
         """
         check_multiple(first, self.config.size_multiple)
         batch = sizes(first)[0]
@@ -221,8 +213,7 @@ class GuidedDepthNetwork(Network):
         maps = self.matched(lateral)  # at a quarter of the size, from three strides
         own = [each[:batch] for each in features]
         costs, geometry = self._costs(maps[:batch], maps[batch:], towards.flatten(1))
-        volume = self.reduce(costs) + self.guide(guidance)  # (batch, width4, height / 4, width / 4)
-        return self._decoded(torch.cat([volume, own[1], maps[:batch], geometry], dim=1), own)
+        return self._decoded(torch.cat([self.reduce(costs), own[1], maps[:batch], geometry], dim=1), own)
 
     def _costs(
         self, first: Float[Tensor, "batch features rows cols"], second: Float[Tensor, "batch features rows cols"],

@@ -16,7 +16,7 @@ from omnisyn_cli.pipeline.choices import by_name, chosen
 if TYPE_CHECKING:
     from omnisyn_cli.stereo.expected_depth import PairPrior
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
-    from omnisyn_cli.types import DepthEstimator
+    from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 Size = tuple[int, int]
 EstimatorMaker = Callable[["DepthSource", Callable[..., Any], "int | None"], "DepthEstimator"]
@@ -24,9 +24,7 @@ EstimatorMaker = Callable[["DepthSource", Callable[..., Any], "int | None"], "De
 SYNSIN_DEPTH = "synsin-depth"  # name in the manifest of the network that finds depth in one panorama
 # Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures.
 PROGRAM_BYTES = 345e6
-
-# Of the network that says what to expect, whose input has one size; measured likewise. Only a run knows whether a pair
-# needs it, so a plan counts it always.
+# Of the network that says what to expect, whose input has one size; measured likewise.
 PRIOR_BYTES = 110e6
 
 
@@ -41,8 +39,8 @@ class DepthSource:
     # name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves the network
     # out, to compare with
     model: str | None = None
-    # likewise of the network that says what depth to expect where the baseline is wide, for ``refined``; None leaves it
-    # out. A file may be a monocular network of the user's, see :mod:`omnisyn_cli.runtime.monocular_session`.
+    # likewise of the network that says what depth to expect, for ``refined``; None leaves it out. A file may be a
+    # monocular network of the user's, see :mod:`omnisyn_cli.runtime.monocular_session`.
     prior: str | None = None
     prior_kind: str = ""  # what the user says of that, in words
     descriptors: str | None = None  # likewise of the network that matching compares pixels by, for ``refined``
@@ -135,15 +133,21 @@ def _make_matching(source: DepthSource, network: Callable[..., Any], threads: in
 
 
 def _make_refined(source: DepthSource, network: Callable[..., Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.render.mesh import Cut
     from omnisyn_cli.runtime.image_networks import CompletionSession, DescriptorSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
+    from omnisyn_cli.synthesis.consistency import cross_check
 
     refinement = None if source.model is None else CompletionSession(network(source.model))
     prior = None if source.prior is None else _prior(source, partial(network, source.prior, keeps_memory=False))
     name = source.descriptors
     descriptors = None if name is None else DescriptorSession(network(name, keeps_memory=False))
     matching = replace(_make_matching(source, network, threads), prior=prior, descriptors=descriptors)
-    return RefinedDepthEstimator(matching, refinement, source.rows)
+
+    def score(views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate]) -> float:
+        return cross_check(views, depths, Cut(), threads).confidence.score
+
+    return RefinedDepthEstimator(matching, refinement, source.rows, score)
 
 
 def _prior(source: DepthSource, open_session: Callable[[], Any]) -> PairPrior:

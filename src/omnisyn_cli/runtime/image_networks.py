@@ -47,29 +47,28 @@ class DescriptorSession:
 class GuidedDepthSession:
     """Two upright panoramas in, depth of the first out; a :class:`omnisyn_cli.stereo.expected_depth.PriorModel`.
 
-    Nothing was matched when it is asked: its guidance is zero. It is opened when first asked: many pairs need it not.
+    It is opened when first asked.
     """
 
     def __init__(self, open_session: Callable[[], Any]) -> None:
         self._open_session = open_session
 
     @cached_property
-    def _session_and_guidance(self) -> tuple[Any, Float32[np.ndarray, "1 channels rows cols"]]:
+    def _session(self) -> Any:
         session = self._open_session()
-        shapes = {entry.name: tuple(entry.shape) for entry in session.get_inputs()}
-        if list(shapes) != ["first", "second", "towards", "guidance"]:
+        names = [entry.name for entry in session.get_inputs()]
+        if names != ["first", "second", "towards"]:
             raise InputError(
-                "expected a guided depth model with the inputs 'first', 'second', 'towards' and 'guidance', got "
-                f"{list(shapes)}; name another"
+                f"expected a guided depth model with the inputs 'first', 'second' and 'towards', got {names}; name "
+                "another"
             )
-        return session, np.zeros(shapes["guidance"], np.float32)
+        return session
 
     def __call__(self, first: Channels, second: Channels, towards: Float[np.ndarray, " 3"]) -> DepthAnswer:
         """Inverse depth in the unit of ``towards``, and the probability that depth is within 10 %."""
-        session, no_guidance = self._session_and_guidance
         way = towards.astype(np.float32).reshape(1, 3, 1, 1)
-        inputs = {"first": first[None], "second": second[None], "towards": way, "guidance": no_guidance}
-        return run_depth_network(session, inputs, first.shape[1:])
+        inputs = {"first": first[None], "second": second[None], "towards": way}
+        return run_depth_network(self._session, inputs, first.shape[1:])
 
 
 class FusionSession:

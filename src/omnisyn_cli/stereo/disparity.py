@@ -24,15 +24,12 @@ from omnisyn_cli.types import View
 ROWS_BEYOND_EPIPOLE = 4
 # A winner this close to the least possible disparity may have wanted to go below it, so it is not valid.
 DISPARITY_BOUND_SLACK_ROWS = 1.5
-
 # Sine of the angle below the horizon (10°) where the bound on the ground's distance begins: ground may slope away;
 # chosen by eye.
 GROUND_BOUND_MIN_SINE = 0.17
-
 # Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
 # (With more, noise confirms itself: the shadow of a lamp on an untextured road fell to pieces.)
 MAX_INTERPOLATED_STEP = 2.0
-
 # Degrees from an epipole: within the first nothing is measurable; within the second near things hardly move either, so
 # no parallax does not mean infinity. Chosen by eye.
 EPIPOLE_BLIND_DEG, EPIPOLE_NO_INFINITY_DEG = 4.0, 20.0

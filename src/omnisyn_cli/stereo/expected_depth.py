@@ -1,4 +1,4 @@
-"""What a network expects of depth, for pairs that matching leaves open: a prior, and filling.
+"""What a network expects of depth: a prior for matching, and filling.
 
 Repeating tiles match a floor at the wrong height, and each panorama then agrees with the other one. A network that has
 seen rooms knows better, though not exactly: its shapes are right, and off by a factor that changes slowly. So it is
@@ -34,7 +34,6 @@ NETWORK_SIZE = (256, 512)  # height and width of the panoramas that the network 
 BASELINES = 1.0, 2.25  # the lengths of the baseline that the network is told of, once each
 HALF_TURN_ABOUT_Y = np.diag([-1.0, 1.0, -1.0])  # the cameras exchange their places: what was behind is ahead
 TOLERANCE_SHARE = 0.15  # error of √(inverse depth × baseline) that costs nothing, as a share of it
-
 # Relative error of √(inverse depth) where depth is 10 % off. With its probability, the confidence, the scale of a
 # Laplace distribution follows.
 TEN_PERCENT = math.sqrt(1.1) - 1.0
@@ -45,9 +44,6 @@ CORRECTION_SCALES = (1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
 COARSER_WEIGHT = 0.02  # weight of the coarser correction, against 1 for matches everywhere around
 # Of the logarithm of inverse depth: a proposal that near to what is expected is preferred to it.
 MAX_LOG_DIFFERENCE = 0.15
-# Of the logarithm of inverse depth, between a prior and consistent matches: from there on the prior is not used. (Six
-# pairs of real tours have 0.6 to 1.2 and lose up to 3.1 dB by the prior; of 25 generated ones the most is 0.44.)
-MAX_MEDIAN_DISAGREEMENT = 0.5
 MIN_INVERSE_DEPTH = 1e-4  # in 1/baselines: all that is farther counts as that far
 
 
@@ -72,25 +68,19 @@ PairPrior = Callable[[rectify.RectifiedPair, View, View, Matches], rectify.Recti
 def with_guided_priors(
     pair: rectify.RectifiedPair, first: View, second: View, matches: Matches | None = None, *, model: PriorModel
 ) -> rectify.RectifiedPair:
-    """The pair with what the network expects of both panoramas; as it is where matches, if there are any, contradict.
-
-    The network sees one after the other.
+    """The pair with what the network expects of both panoramas; it needs no matches.
 
     It is asked in one order of the two, whichever is the first one: exchanged panoramas get the same answers.
     """
     if pair.is_canonical_order:
-        priors = _priors(pair, first, second, model)
-    else:
-        priors = _priors(pair.reversed(), second, first, model)[::-1]
-    expecting = replace(pair, priors=priors)
-    is_contradicted = matches is not None and median_disagreement(expecting, matches) >= MAX_MEDIAN_DISAGREEMENT
-    return pair if is_contradicted else expecting
+        return replace(pair, priors=_priors(pair, first, second, model))
+    return replace(pair, priors=_priors(pair.reversed(), second, first, model)[::-1])
 
 
 def median_disagreement(pair: rectify.RectifiedPair, matches: Matches) -> float:
     """Of the logarithms of inverse depth that a prior expects and consistent matches say, but for a common factor.
 
-    Infinite without matches: nothing tells then what the prior is worth.
+    Infinite without a prior or matches: nothing tells then what the prior is worth.
     """
     medians = []
     for each, found in zip((pair, pair.reversed()), matches, strict=True):

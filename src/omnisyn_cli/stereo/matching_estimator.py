@@ -3,6 +3,7 @@
 :meth:`MatchingDepthEstimator.features` names the stages, each in a module of its own.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -25,7 +26,7 @@ from omnisyn_cli.stereo.disparity import (
     left_right_check,
     match_all_disparities,
 )
-from omnisyn_cli.stereo.expected_depth import PairPrior, expected_planes
+from omnisyn_cli.stereo.expected_depth import Matches, PairPrior, expected_planes, median_disagreement
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
@@ -40,21 +41,16 @@ __all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptio
 # Weight in filling of a disparity that only one direction found, against 1 for a consistent one; chosen by eye.
 INCONSISTENT_MATCH_WEIGHT = 0.002
 MAX_WALL_TILT_SINE = 0.1  # sine of the tilt (6°) up to which a fitted plane is a wall that says how the room is turned
-
 # A pair is narrow if matches are consistent in 60 % of the texture that is 15° or more below the horizon, and above.
 # Walks of 1 m through generated rooms and streets are, walks of 3 m are not.
 STEEP_SINE, NARROW_MATCHED_SHARE = 0.26, 0.6
-
-# Share of the sphere that is measured from which on no network is asked. (Of the twelve pairs of bench six have 0.8 to
-# 0.9: by the network five of these gain 0.4 to 1.8 dB, and one loses 2.2.)
-WELL_MATCHED_SHARE = 0.9
-
-
-# Share of the sphere with consistent matches below which planes cannot make up for the rest, and the network is asked
-# before any are looked for. (Of 95 pairs, the least share of one that was well matched in the end was 0.474.)
-POORLY_MATCHED_SHARE = 0.45
 # Difference of two normals, relative to their length, up to which they are one plane: less than a row of disparity.
 SAME_PLANE_TOLERANCE = 0.03
+# Of the logarithm of inverse depth, between a prior and consistent matches: from there on they contradict each other.
+# (Six of nine pairs of real tours have 0.6 to 1.2; of 25 generated ones the most is 0.44.)
+MAX_MEDIAN_DISAGREEMENT = 0.5
+
+FeaturesPair = tuple[StereoFeatures, StereoFeatures]
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class MatchingDepthEstimator:
     options: MatchingOptions = field(default_factory=MatchingOptions)  # of matching
     threads: int | None = None  # at most this many; None = a core each. The result does not depend on it.
     descriptors: DescriptorModel | None = None  # of a network, for the costs of matches; None compares windows alone
-    prior: PairPrior | None = None  # asks a network what to expect where much is left open; None leaves it out
+    prior: PairPrior | None = None  # asks a network what to expect; None leaves it out
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -85,26 +81,33 @@ class MatchingDepthEstimator:
                 lambda: self._upsampled_estimate(second, of_second, baseline),
             )
 
-    def features(self, first: View, second: View) -> tuple[StereoFeatures, StereoFeatures]:
+    def features(self, first: View, second: View) -> FeaturesPair:
         """What stereo says of panoramas from two positions, at half of ``options.size``, in their cameras' frames."""
+        return next(self.candidates(first, second))
+
+    def candidates(self, first: View, second: View) -> Iterator[FeaturesPair]:
+        """:meth:`features`; where matches contradict the prior once without it and, if wanted, once with it."""
         height, width = self.options.size
-        options = self.options_for(first, second)
+        options, prior = self.options_for(first, second), self.prior
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
             if self.descriptors is not None:
                 pair = with_descriptors(pair, first, second, self.descriptors)
-            if self.prior is None:
-                surfaces = _match_surfaces(pair, options)
-            else:
-                surfaces = _match_surfaces(pair, options, least_share=POORLY_MATCHED_SHARE)
-                if _measured_share(pair, surfaces) < WELL_MATCHED_SHARE:
-                    pair = self.prior(pair, first, second, surfaces)
-                    if pair.priors is not None or _measured_share(pair, surfaces) < POORLY_MATCHED_SHARE:
-                        surfaces = _match_surfaces(pair, options)
-            reverse = pair.reversed()
+            matches = _match(pair, options)
+            expecting = pair if prior is None else prior(pair, first, second, matches)
+        if median_disagreement(expecting, matches) >= MAX_MEDIAN_DISAGREEMENT:
+            yield self._features(first, second, pair, matches)
+        if expecting.priors is not None:
+            yield self._features(first, second, expecting)
+
+    def _features(self, first: View, second: View, pair: RectifiedPair, matches: Matches | None = None) -> FeaturesPair:
+        """Of matches, which are found now unless they are given."""
+        options = self.options_for(first, second)
+        with limited_threads(self.threads):
+            found = _label(pair, matches or _match(pair, options), options)
             return both(
-                lambda: _features_in_camera_frame(first, second, pair, surfaces[0]),
-                lambda: _features_in_camera_frame(second, first, reverse, surfaces[1]),
+                lambda: _features_in_camera_frame(first, second, pair, found[0]),
+                lambda: _features_in_camera_frame(second, first, pair.reversed(), found[1]),
             )
 
     def options_for(self, first: View, second: View) -> MatchingOptions:
@@ -124,29 +127,19 @@ class MatchingDepthEstimator:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
 
 
-def _match_surfaces(
-    pair: RectifiedPair, options: MatchingOptions, *, least_share: float = 0.0
-) -> tuple[DisparityMap, DisparityMap]:
-    """The surfaces of both directions: matched, planes found, labelled, and checked left against right.
+def _match(pair: RectifiedPair, options: MatchingOptions) -> Matches:
+    """The matches of both directions, checked left against right: cost volume and semi-global matching."""
+    # one direction after the other: costs take much memory
+    matches = match_all_disparities(pair, options), match_all_disparities(pair.reversed(), options)
+    return left_right_check(matches, options.left_right_rows, options.near_left_right_rows)
 
-    The matches alone, where those that are consistent have less than ``least_share`` of the sphere.
-    """
+
+def _label(pair: RectifiedPair, matches: Matches, options: MatchingOptions) -> Matches:
+    """The surfaces of both directions: planes found, pixels labelled, and checked left against right."""
     pairs = pair, pair.reversed()
-    # Cost volume and semi-global matching, one direction after the other: costs take much memory.
-    matches = match_all_disparities(pairs[0], options), match_all_disparities(pairs[1], options)
-    rows = options.left_right_rows, options.near_left_right_rows
-    consistent = left_right_check(matches, *rows)
-    if _measured_share(pair, consistent) < least_share:
-        return consistent
-    planes = _find_planes(pairs, consistent, options)
-    surfaces = both(*(partial(label_surfaces, *each, options) for each in zip(pairs, consistent, planes, strict=True)))
-    return left_right_check(surfaces, *rows)
-
-
-def _measured_share(pair: RectifiedPair, disparities: tuple[DisparityMap, DisparityMap]) -> float:
-    """Share of the sphere whose disparities are left-right consistent, in the worse panorama."""
-    areas = solid_angles(*pair.size)
-    return min(float(areas[each.valid].sum() / areas.sum()) for each in disparities)
+    planes = _find_planes(pairs, matches, options)
+    surfaces = both(*(partial(label_surfaces, *each, options) for each in zip(pairs, matches, planes, strict=True)))
+    return left_right_check(surfaces, options.left_right_rows, options.near_left_right_rows)
 
 
 def _find_planes(

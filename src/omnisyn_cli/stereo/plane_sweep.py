@@ -36,7 +36,6 @@ from omnisyn_cli.stereo.plane_fitting import (
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, EpipolarGrid, RectifiedPair
 
 T = TypeVar("T")
-
 # Half of the rows of a pair are swept, but no fewer than these. All rows find the same planes in four times the time.
 MIN_SWEEP_ROWS = 64
 # Of swept planes from the first camera, in baselines. Farther ones are matched well enough by upright windows.
@@ -60,7 +59,6 @@ MIN_PEAK_RATIO = 2.0  # least score of a plane over the median of all distances 
 MIN_PEAK_EXCESS = 0.002
 # Of a plane to its pixels in the swept images, where a row is 1.4°, and then in the pair.
 COARSE_FIT_COUNT, FINE_FIT_COUNT = 4, 1
-
 # Sloping ground is fitted to the level planes that fit best in windows of 9×9 pixels. Their mean score has to be 0.04
 # (level windows hardly match on a slope), and a twentieth of them has to agree.
 SLOPE_WINDOW, MIN_SLOPE_SCORE, MIN_SLOPE_SUPPORT = 9, 0.04, 0.05

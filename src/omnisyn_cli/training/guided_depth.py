@@ -16,7 +16,7 @@ from torch import Tensor
 
 from omnisyn_cli.evaluation.grouping import BASELINE_BINS, baseline_bin
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
+from omnisyn_cli.networks.guided_depth import GuidedDepthPrediction
 from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Array, Augmentation, Walk
 from omnisyn_cli.training.losses import polar_weights, signed_error
@@ -44,7 +44,6 @@ class GuidedBatch:
     first: Float[Array, "*batch 3 height width"]  # colours in [0, 1]
     second: Float[Array, "*batch 3 height width"]
     towards: Float[Array, "*batch 3 1 1"]  # unit vector to the other camera
-    guidance: Float[Array, "*batch 6 rows cols"]  # zeros, a quarter of the size: in use there is none either
     sqrt_inv_depth: Float[Array, "*batch 1 height width"]  # √(inverse depth × baseline); NaN where it is not known
     ratio: Float[Array, "*batch"]  # baseline over median depth
     is_mesh: Bool[Array, "*batch"]  # whether the scene is a mesh
@@ -85,7 +84,6 @@ def _pair(
     return GuidedBatch(
         first=colours[0].transpose(2, 0, 1), second=colours[1].transpose(2, 0, 1),
         towards=towards.astype(np.float32)[:, None, None],
-        guidance=np.zeros((GUIDANCE_CHANNELS, size[0] // STRIDE, size[1] // STRIDE), np.float32),
         sqrt_inv_depth=sqrt_inv_depth.astype(np.float32)[None], ratio=np.float32(ratio), is_mesh=np.bool_(walk.is_mesh),
     )  # fmt: skip
 

@@ -146,7 +146,7 @@ TASKS: Mapping[str, Task] = {
         draw=lambda pool, rng, stage, network, varied: draw_guided(
             pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied
         ),
-        inputs=lambda _, batch: (batch.first, batch.second, batch.towards, batch.guidance),
+        inputs=lambda _, batch: (batch.first, batch.second, batch.towards),
         loss=guided_loss, scores=guided_scores, role="guided-depth",
         pictures=lambda answer, batch: (
             _depth_pictures(answer, batch) | {"confidence": as_array(answer.confidence()[0].expand(3, -1, -1))}

@@ -22,56 +22,44 @@ from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import Uncertainty, angle_between, epipolar_residual, refine_pose
 
 MIN_MATCHES = 8  # Five determine a pose; three more have to agree with it
-
 # Decimal logarithm of the number of poses that as many matches would agree with by chance, as closely. All of 43 real
 # pairs that see each other are below.
 MAX_LOG_FALSE_ALARMS = -8.0
-
 CLEAR_LOG_FALSE_ALARMS = -40.0  # The same of a pose that ends the search
-
 # What is added where a pose contradicts the vertical edges: two directions agree within 1° once in 10,000 times.
 LOG_TESTS_WITHOUT_GRAVITY = 5.0
 # Radians between the verticals of two panoramas up to which a pose agrees with them.
 MAX_VERTICAL_ERROR = math.radians(2.0)
 # Sine of the angle between the baseline and the horizon up to which both cameras stand at one height.
 MAX_CLIMB_SINE = math.sin(math.radians(3.0))
-
 # Matches that determine a pose, and how many poses they leave at most: of any two cameras, of two whose verticals are
 # known, and of two that also stand at one height.
 GENERAL_MOTION, UPRIGHT_MOTION, PLANAR_MOTION = (5, 10), (3, 4), (2, 2)
 # Least probability that is assumed of a wrong match to agree; fewer samples than its inverse cannot tell it.
 MIN_CHANCE = 1e-4
-
 # Inlier thresholds within which agreement is counted: within the one that makes it least likely by chance, as right
 # matches spread over a fifth of the widest, and wrong ones evenly.
 SPREADS = (1.0, 0.5, 0.25)
 CHANCE_SAMPLES = 150  # Matches whose directions are paired at random, each with each, to find that probability
-
 # Matches whose directions are this near to others are no evidence of their own: they may be parts of one thing.
 DISTINCT_ANGLE = math.radians(2.0)
-
 # Side of the cells that matches are counted in; all cells weigh the same. A floor of equal tiles has hundreds of
 # matches, all consistently wrong by some tiles, in a small part of the sphere.
 CROWDED_ANGLE = math.radians(10.0)
-
 MIN_TURN_INLIERS = 12  # Matches that have to agree with a turn on the spot at least; by chance one in 400,000 does
 FORWARD_POSE = Pose(np.eye(3), FORWARD)
 MIN_INLIER_SHARE = 0.08  # Share of all matches that have to agree with a pose at least
 SAMPLES_PER_BATCH, MAX_BATCHES = 300, 12  # Samples that are drawn at once, and how many times at most
-
 # Inlier thresholds within which a match speaks for an upright hypothesis: verticals are off by up to half a degree.
 UPRIGHT_SCALE = 4.0
 CONFIDENCE = 0.9999  # Probability that a sample without a wrong match was among those drawn
 HYPOTHESES_PER_CHUNK = 256  # Hypotheses that are scored at once, which bounds memory
 REFINED_HYPOTHESES = 6  # Hypotheses that are refined
-
 # Radians of rotation or direction from which on another pose is a rival, and its logarithm over that of the best pose.
 RIVAL_ANGLE, RIVAL_SHARE = math.radians(10.0), 0.6
-
 # Share of the matches of a pose with parallax from which on they are one plane, and inlier thresholds around it in the
 # rounds of least squares.
 MIN_PLANE_SHARE, PLANE_WIDTHS = 0.92, np.geomspace(16.0, 2.0, 8)
-
 # Share of the matches that agree with a known or an upright pose from which on no general one is looked for.
 CLEAR_SHARE = 0.6
 # Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place.
