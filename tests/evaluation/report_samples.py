@@ -88,7 +88,6 @@ def with_pictures(folder: Path, record: UnitRecord) -> UnitRecord:
             "frame": save(f"{index}-frame", np.uint8(255 * image)),
             "truth": save(f"{index}-truth", np.uint8(255 * truth)),
             "error": save(f"{index}-error", error_map(image, truth)),
-            "kinds": save(f"{index}-kinds", np.uint8(255 * truth)),
         }
 
     inverse_depth = truth[..., 0] / 2

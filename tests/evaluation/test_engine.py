@@ -315,7 +315,7 @@ def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path):
     (record,) = run(data, "oracle-depth", pictures=True)
     report = tmp_path / "report"
     for frame in record.frames:
-        assert set(frame.pictures) == {"frame", "truth", "error", "kinds"}
+        assert set(frame.pictures) == {"frame", "truth", "error"}
         shown, truth, error = (read_panorama(report / frame.pictures[key]).image for key in ("frame", "truth", "error"))
         assert ws_psnr(shown, truth) > 30
         assert error.max() < 0.3

@@ -8,7 +8,7 @@ world-from-camera. Nothing is estimated from the pictures. Means are weighted by
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -45,8 +45,6 @@ class Measurement:
     """What was made and measured."""
 
     images: tuple[Picture, ...]  # a picture for every target of the pair
-    # of every picture, where pixels of each kind are; without geometry only the ``top`` and the ``bottom``
-    kinds: tuple[Masks, ...]
     frames: tuple[FrameRecord, ...]  # what is known of every picture
     depths: tuple[DepthRecord, ...]  # of both views; empty for methods without
     found: tuple[DepthEstimate, DepthEstimate] | None  # the depth that the method found, or None
@@ -60,14 +58,14 @@ def measure(method: PairMaker, pair: LoadedPair, names: tuple[str, str], threads
     made = method(pair.size, clock)
     images = tuple(_clip_to_unit(made.frame(target.waypoint).image) for target in pair.targets)
     seconds = dict(clock.seconds)
-    kinds = tuple(_kinds_at(made, target.waypoint, pair.size) for target in pair.targets)
+    kinds = (_kinds_at(made, target.waypoint, pair.size) for target in pair.targets)
     frames = tuple(_frame_records(images, kinds, pair))
     has_parallax = not at_same_position(*(view.pose for view in pair.views))
     clip = _clip_measures(method, made, pair) if has_parallax else {}
     found = made.depths if has_parallax else None
     depths = () if found is None else tuple(map(depth_record, found, pair.views, names))
     total = {**seconds, "total": math.fsum(seconds.values())}
-    return Measurement(images, kinds, frames, depths, found, {**clip, **_end_errors(made, pair, threads)}, total)
+    return Measurement(images, frames, depths, found, {**clip, **_end_errors(made, pair, threads)}, total)
 
 
 def _kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Masks:
@@ -78,7 +76,7 @@ def _kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Masks:
     return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **metrics.end_masks(size)}
 
 
-def _frame_records(images: Sequence[Picture], kinds: Sequence[Masks], pair: LoadedPair) -> Iterator[FrameRecord]:
+def _frame_records(images: Sequence[Picture], kinds: Iterable[Masks], pair: LoadedPair) -> Iterator[FrameRecord]:
     """Of every picture: its shards; against true frames also its own scores, how it changed, how much of it flies."""
     photographs = PhotographEdges(pair.views, pair.size)
     is_depth_known = all(view.known_depth is not None for view in pair.views)

@@ -41,7 +41,7 @@ class FrameRecord:
     # where true depth is known, and ``shards`` of all frames, the only one without a true frame, see
     # :mod:`omnisyn_cli.evaluation.metrics.artefacts`.
     scores: Mapping[str, float]
-    # ``frame``, ``truth``, ``error``, with geometry ``kinds`` -> file, relative to the report, with "/"; may be empty
+    # ``frame``, ``truth``, ``error`` -> file, relative to the report, with "/"; may be empty
     pictures: Mapping[str, str] = field(default_factory=dict)
     # ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of pixel -> number;
     # kinds that there are no pixels of are missing

@@ -18,7 +18,7 @@ from jaxtyping import Float, UInt8
 from omnisyn_cli.evaluation.datasets.sources import Pair
 from omnisyn_cli.evaluation.grouping import finished, pair_names, ranked_methods
 from omnisyn_cli.evaluation.measure import Measurement
-from omnisyn_cli.evaluation.metrics.image import Masks, Picture, check_same_size
+from omnisyn_cli.evaluation.metrics.image import Picture, check_same_size
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord
 from omnisyn_cli.evaluation.tables import format_value
 from omnisyn_cli.evaluation.views import LoadedPair, TrueFrame
@@ -31,11 +31,6 @@ from omnisyn_cli.types import DepthEstimate
 ERROR_SCALE = 0.25
 # Percentile of inverse depth that has the last colour: a few stray near pixels do not darken all the others.
 NEAREST_PERCENTILE = 99.0
-# RGB of the largest error of each kind: white, magenta, orange, blue.
-KIND_COLOURS = {
-    "agree": (255, 255, 255), "disagree": (255, 80, 255), "one_view": (255, 190, 40), "hole": (60, 200, 255),
-}  # fmt: skip
-KIND_MIN_BRIGHTNESS = 0.15  # brightness without any error, so that the area of a kind is seen as well
 PICTURES_FOLDER = "pictures"  # in the folder of a report
 MAX_NAME_CHARS = 80  # of a scene in a file name: file systems take 255 bytes for all of it
 # The worst frames of each method that are shown, and the panoramas whose depth is.
@@ -43,7 +38,7 @@ FRAMES_PER_METHOD, MAX_PANORAMAS = 4, 8
 # Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder.
 THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
 # Of the pictures of a frame, by kind.
-FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
+FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error"}
 
 Pictures = dict[str, str]  # Pictures side by side: a caption -> the whole file as an address.
 Sections = dict[str, dict[str, Pictures]]  # By method or panorama, then by a title, which may be empty.
@@ -51,22 +46,8 @@ Sections = dict[str, dict[str, Pictures]]  # By method or panorama, then by a ti
 
 def error_map(image: Picture, truth: Picture) -> UInt8[np.ndarray, "height width 3"]:
     """Mean difference in [0, 1] in Inferno: black 0, pale yellow :data:`ERROR_SCALE`; ValueError: other sizes."""
-    return _coloured(_error_share(image, truth), cv2.COLORMAP_INFERNO)
-
-
-def kind_map(image: Picture, truth: Picture, kinds: Masks) -> UInt8[np.ndarray, "height width 3"]:
-    """:func:`error_map` as brightness of the colour of each kind of pixel, :data:`KIND_COLOURS`, black without one."""
-    brightness = KIND_MIN_BRIGHTNESS + (1.0 - KIND_MIN_BRIGHTNESS) * np.clip(_error_share(image, truth), 0.0, 1.0)
-    colour = np.zeros(image.shape)
-    for kind, of_kind in KIND_COLOURS.items():
-        colour[kinds[kind]] = of_kind
-    return np.asarray(np.rint(brightness[..., None] * colour), np.uint8)
-
-
-def _error_share(image: Picture, truth: Picture) -> Float[np.ndarray, "height width"]:
-    """Mean difference of the channels, 1 where it is :data:`ERROR_SCALE`."""
     check_same_size(image, truth)
-    return np.asarray(np.abs(image.astype(np.float32) - truth).mean(axis=-1) / ERROR_SCALE)
+    return _coloured(np.abs(image.astype(np.float32) - truth).mean(axis=-1) / ERROR_SCALE, cv2.COLORMAP_INFERNO)
 
 
 def turbo(
@@ -103,17 +84,14 @@ class PictureWriter:
         self._pair = _slug("/".join((pair.scene, pair.first.name, pair.second.name)))
 
     def frames(self, pair: LoadedPair, made: Measurement) -> tuple[FrameRecord, ...]:
-        """The records with ``frame`` and, of true frames, ``truth``, ``error`` and, where all are known, ``kinds``."""
+        """The records with ``frame`` and, of true frames, ``truth`` and ``error``."""
         found = []
-        for record, target, image, kinds in zip(made.frames, pair.targets, made.images, made.kinds, strict=True):
+        for record, target, image in zip(made.frames, pair.targets, made.images, strict=True):
             pictures = {"frame": self._write(self._method, target.name, image)}
             if isinstance(target, TrueFrame):
                 pictures["truth"] = self._write("truth", target.name, target.image)
                 error = error_map(image, target.image)
                 pictures["error"] = self._write(self._method, f"{target.name}-error", error)
-                if KIND_COLOURS.keys() <= kinds.keys():
-                    shown = kind_map(image, target.image, kinds)
-                    pictures["kinds"] = self._write(self._method, f"{target.name}-kinds", shown)
             found.append(replace(record, pictures=pictures))
         return tuple(found)
 

@@ -170,17 +170,3 @@ def test_what_is_infinitely_far_is_never_right():
     _, diagram = depth.confidence_metrics(estimate, confidence, truth)
     assert set(diagram["within_10"].values()) == {0.0}
     assert "rank_correlation" not in depth.confidence_metrics(estimate, confidence, truth)[0]
-
-
-def test_diagrams_together_are_those_of_all_pixels():
-    pairs = [truth_and_estimate(seed) for seed in (1, 2)]
-    confidence = [np.random.default_rng(seed).random(SIZE) for seed in (1, 2)]
-    apart = [
-        depth.confidence_metrics(estimate, c, truth)[1] for (truth, estimate), c in zip(pairs, confidence, strict=True)
-    ]
-    wide = [np.concatenate(values, axis=1) for values in zip(*pairs, strict=True)]
-    _, together = depth.confidence_metrics(wide[1], np.concatenate(confidence, axis=1), wide[0])
-    merged = depth.merged_reliability(apart)
-    assert merged.keys() == together.keys()
-    for figure, of_bins in together.items():
-        assert merged[figure] == {name: pytest.approx(value) for name, value in of_bins.items()}

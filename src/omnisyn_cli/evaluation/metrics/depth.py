@@ -5,8 +5,6 @@ pixels, weighted by solid angle, against the relative error max(p/g, g/p), since
 value is within a tenth of the truth: of absolute errors of inverse depth the far would have hardly any, however wrong.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -116,20 +114,6 @@ def confidence_metrics(
     correlation = rank_correlation(-confidences, ratio, weights)
     found = {} if correlation is None else {"rank_correlation": correlation}
     return {**found, "calibration_error": error}, diagram
-
-
-def merged_reliability(diagrams: list[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:
-    """The diagram of several panoramas together, each counting alike."""
-    bins = sorted({name for diagram in diagrams for name in diagram["area"]})
-    area = {name: sum(diagram["area"].get(name, 0.0) for diagram in diagrams) for name in bins}
-    merged = {
-        figure: {
-            name: sum(d["area"].get(name, 0.0) * d[figure].get(name, 0.0) for d in diagrams) / area[name]
-            for name in bins
-        }
-        for figure in ("confidence", "within_5", "within_10")
-    }
-    return {"area": {name: share / len(diagrams) for name, share in area.items()}, **merged}
 
 
 def rank_correlation(one: Values, other: Values, weights: Values) -> float | None:
