@@ -10,17 +10,17 @@ import omnisyn_cli
 SOURCE, ROOT = Path(omnisyn_cli.__file__).parent, Path(__file__).parent.parent
 
 BUDGETS = {
-    "poses": 6_253, "interpolation": 5_220, "evaluation": 3_769, "scenes": 3_820, "io": 3_655, "stereo": 3_514,
+    "poses": 6_253, "interpolation": 5_220, "evaluation": 3_642, "scenes": 3_820, "io": 3_655, "stereo": 3_613,
     "cli": 3_519, "render": 3_434, "training": 3_250, "fusion": 2_709, "synthesis": 3_084, "batch": 1_544,
     "networks": 1_572, "baselines": 838, "geometry": 883, "pipeline": 652, "compute": 650, "(top)": 331,
     "runtime": 552,
 }  # fmt: skip
 """Lines by room. To give a room more, take it from another one: the sum is never raised."""
 
-MOST_LINES = 49_249
+MOST_LINES = 49_221
 """The sum. When rooms shrink, lower their budgets and it."""
 
-MOST_TEST_LINES, MOST_WORDS = 34_960, 28_400
+MOST_TEST_LINES, MOST_WORDS = 34_934, 28_400
 """Lines of the tests, and words of README, CHANGELOG, ``docs/`` and the models' cards."""
 
 SLACK = 150

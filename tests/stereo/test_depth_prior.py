@@ -10,7 +10,7 @@ from tests.stereo.test_plane_sweep import texture, turn
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo import matching_estimator
-from omnisyn_cli.stereo.expected_depth import expected_planes, fill_as_expected, with_guided_priors
+from omnisyn_cli.stereo.expected_depth import at_best_scale, expected_planes, fill_as_expected, with_guided_priors
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.plane_sweep import sweep_directions
 from omnisyn_cli.stereo.rectify import DepthPrior, rectify
@@ -102,6 +102,31 @@ def test_priors_are_in_the_frames_of_the_pair_and_of_its_reverse(views: tuple[Vi
         truth = true_disparity(each, position)
         assert np.quantile(each.prior.cost(truth), 0.99) == 0.0
         assert np.median(each.prior.cost(truth * 2.5 + 10)) == pytest.approx(0.4, abs=1e-6)
+
+
+def with_places_as_descriptors(pair):
+    """Descriptors that say which place of the room each pixel shows."""
+    waves = np.random.default_rng(0).normal(0.0, 0.7, (3, 24))
+
+    def described(position: np.ndarray) -> np.ndarray:
+        rays = pair.grid.directions @ pair.world_from_frame.T
+        places = position + rays * distance_to_wall(position, rays)[0][..., None]
+        return (3.0 * np.cos(places @ waves + np.arange(24.0))).astype(np.float32)
+
+    return replace(pair, descriptors=(described(POSITIONS[0]), described(POSITIONS[1])))
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_the_scale_of_a_prior_is_the_one_at_which_descriptors_agree(views: tuple[View, View], factor: float) -> None:
+    guessed = with_guided_priors(rectify(*views, SIZE), *views, model=KnowsTheRoom(factor))
+    assert at_best_scale(guessed) is guessed
+    pair = at_best_scale(with_places_as_descriptors(guessed))
+    for each, position in zip((pair, pair.reversed()), POSITIONS, strict=True):
+        reach, _ = distance_to_wall(position, each.grid.directions @ each.world_from_frame.T)
+        ratio = np.square(each.priors[0].sqrt_inv_depth) * reach / pair.baseline
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.08)
+    exchanged = at_best_scale(with_places_as_descriptors(guessed).reversed()).reversed()
+    np.testing.assert_array_equal(exchanged.priors, pair.priors)
 
 
 def test_a_prior_that_is_not_sure_costs_nothing_and_one_that_guesses_tolerates_more(views: tuple[View, View]) -> None:

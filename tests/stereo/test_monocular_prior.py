@@ -10,6 +10,7 @@ from tests.stereo.test_depth_prior import (
     room_views,
     true_disparity,
     turn,
+    with_places_as_descriptors,
 )
 
 from omnisyn_cli.geometry.perspective import cell_directions
@@ -125,6 +126,21 @@ def test_what_no_match_confirms_is_not_used() -> None:
     room = DistortedRoom("depth", 1.0, 0.0, is_perspective=False)
     assert expecting(room, 0.001) is pair
     assert expecting(room, 0.3) is not pair
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_descriptors_find_scale_and_reading_where_most_matches_are_wrong(reading: str) -> None:
+    views = room_views()
+    pair = with_places_as_descriptors(rectify(*views, SIZE))
+    known, elsewhere = np.random.default_rng(2).random((2, *SIZE))
+    found = [
+        DisparityMap(np.where(elsewhere < 0.8, 80.0 * elsewhere, true_disparity(each, at)), known < 0.3)
+        for each, at in zip((pair, pair.reversed()), POSITIONS, strict=True)
+    ]
+    model = DistortedRoom(reading, 0.3 if READINGS[reading].power else 1.0, 0.0, is_perspective=False)
+    expecting = with_monocular_priors(pair, *views, (found[0], found[1]), model=model)
+    for each, at in zip((expecting, expecting.reversed()), POSITIONS, strict=True):
+        assert np.quantile(each.prior.cost(true_disparity(each, at)), 0.9) == 0.0
 
 
 def test_a_network_sees_upright_pictures() -> None:

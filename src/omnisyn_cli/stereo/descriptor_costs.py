@@ -15,12 +15,13 @@ from omnisyn_cli.compute.arrays import empty
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
-from omnisyn_cli.stereo.rectify import RectifiedPair, rectify
+from omnisyn_cli.stereo.rectify import DepthPrior, RectifiedPair, rectify
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.types import View
 
 # Weight of descriptors against windows, in [0, 1], and the squared distance that costs half of what unrelated ones do.
 DESCRIPTOR_WEIGHT, HALF_COST_DISTANCE = np.float32(0.6), np.float32(12.0)
+LIKENESS_STEP = 2  # of the rows and of the columns every second one is enough to see how alike two images are
 
 
 class DescriptorModel(Protocol):
@@ -53,6 +54,34 @@ def add_to_volume(cost: UInt16[np.ndarray, " costs"], pair: RectifiedPair, dispa
     usable = np.ascontiguousarray(pair.second_usable.T)
     fill = partial(_add_to_volume, own, other, usable, disparities.lowest, disparities.offsets, cost)
     run_ranges(fill, len(own))
+
+
+def likeness(pair: RectifiedPair, prior: DepthPrior) -> float:
+    """How alike descriptors of both images are on the surface that is expected of the first one, in [0, 1].
+
+    The mean over its usable sphere; 0.5 where squared distances are :data:`HALF_COST_DISTANCE`.
+    """
+    own, other = pair.descriptors or (None, None)
+    seen = (pair.first_usable * np.sin(pair.grid.polar_angle)).astype(np.float32)[::LIKENESS_STEP, ::LIKENESS_STEP]
+    disparity, total = pair.grid.disparity(np.square(prior.sqrt_inv_depth)), np.empty(seen.shape, np.float32)
+    run_ranges(partial(_measure_likeness, own, other, pair.second_usable, disparity, total), len(total))
+    return float((seen * total).sum() / max(seen.sum(), 1e-6))
+
+
+@fast_kernel()
+def _measure_likeness(own, other, usable, disparity, out, begin, end):  # type: ignore[no-untyped-def]
+    height, _, length = own.shape
+    for row in range(begin, end):
+        for col in range(out.shape[1]):
+            at, side = row * LIKENESS_STEP, col * LIKENESS_STEP
+            target, distance = int(at + disparity[at, side] + np.float32(0.5)), np.float32(0.0)
+            out[row, col] = 0.0
+            if target >= height or disparity[at, side] < 0.0 or not usable[target, side]:
+                continue
+            for channel in range(length):
+                difference = own[at, side, channel] - other[target, side, channel]
+                distance += difference * difference
+            out[row, col] = HALF_COST_DISTANCE / (HALF_COST_DISTANCE + distance)
 
 
 @fast_kernel()

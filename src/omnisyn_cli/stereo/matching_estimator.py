@@ -26,7 +26,7 @@ from omnisyn_cli.stereo.disparity import (
     left_right_check,
     match_all_disparities,
 )
-from omnisyn_cli.stereo.expected_depth import Matches, PairPrior, expected_planes, median_disagreement
+from omnisyn_cli.stereo.expected_depth import Matches, PairPrior, at_best_scale, expected_planes, median_disagreement
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
@@ -49,6 +49,7 @@ SAME_PLANE_TOLERANCE = 0.03
 # Of the logarithm of inverse depth, between a prior and consistent matches: from there on they contradict each other.
 # (Six of nine pairs of real tours have 0.6 to 1.2; of 25 generated ones the most is 0.44.)
 MAX_MEDIAN_DISAGREEMENT = 0.5
+MIN_SCALED_DISAGREEMENT = 0.2  # likewise: up to there matches correct a prior's scale, beyond it descriptors do first
 
 FeaturesPair = tuple[StereoFeatures, StereoFeatures]
 
@@ -95,7 +96,10 @@ class MatchingDepthEstimator:
                 pair = with_descriptors(pair, first, second, self.descriptors)
             matches = _match(pair, options)
             expecting = pair if prior is None else prior(pair, first, second, matches)
-        if median_disagreement(expecting, matches) >= MAX_MEDIAN_DISAGREEMENT:
+            disagreement = median_disagreement(expecting, matches)
+            if disagreement >= MIN_SCALED_DISAGREEMENT:
+                expecting = at_best_scale(expecting)
+        if disagreement >= MAX_MEDIAN_DISAGREEMENT:
             yield self._features(first, second, pair, matches)
         if expecting.priors is not None:
             yield self._features(first, second, expecting)

@@ -3,7 +3,7 @@
 Such networks answer up to an unknown scale and shift, and their numbers are depth, its inverse or its logarithm. A
 perspective network has scales of its own in each picture: pictures agree where they overlap, and with the matches. Many
 matches may be wrong, all in the same way, such as those of tiles. So the best alignment is the one that most of them
-confirm, and how close these are says how far the answer can be trusted.
+confirm, and how close these are says how far the answer can be trusted. Where fewer than half do, descriptors decide.
 """
 
 import itertools
@@ -20,7 +20,9 @@ from omnisyn_cli.stereo.expected_depth import (
     NETWORK_SIZE,
     TEN_PERCENT,
     Matches,
+    at_best_scale,
     in_frame,
+    likeness_of_priors,
     log_inverse_depth,
     smooth_from_known,
 )  # fmt: skip
@@ -34,12 +36,14 @@ MIN_INVERSE_DEPTH = 0.02  # in 1/baselines: farther matches say nothing exact
 # Pairs of matches that scale and shift are taken from, to begin with; likewise single ones for a scale alone.
 HYPOTHESES = 500
 MAX_LOG_ERROR = 0.25  # of the logarithm of inverse depth: matches that differ by more do not confirm an alignment
-MIN_CONFIRMING_SHARE = 0.5  # share of the matches that confirm the alignment of a prior that is used
+MIN_CONFIRMING_SHARE = 0.5  # share of the matches that confirm an alignment; below it descriptors decide
 OVERLAP_WEIGHT = 0.3  # of two pictures that should agree in a direction, against 1 for a match there
 # Of the median of all numbers: errors are not relative to smaller ones, such as the inverse depth of the sky.
 MIN_UNIT_SHARE = 0.3
 SOLVER_STEPS = 8  # of least squares, each with the weights that make it the least sum of absolute errors
 MIN_LOG_ERROR = 0.02  # smaller errors count alike
+UNCONFIRMED_ERROR = 0.1  # of the logarithm, as if known of an answer that descriptors scale
+ALL_LOG_SCALES = np.arange(-30, 31) / 10.0  # logarithms of the factors of an answer of unknown scale that are tried
 CORRECTED_ERRORS = 3.0  # matches within so many median errors correct the answer around them
 
 
@@ -67,26 +71,52 @@ def with_monocular_priors(
     pair: RectifiedPair, first: View, second: View, matches: Matches,
     *, model: Callable[[View], MonocularAnswer],
 ) -> RectifiedPair:  # fmt: skip
-    """The pair with what a network expects of both panoramas; as it is where matches do not confirm its answers."""
-    priors = []
-    for own, view, found in zip((pair, pair.reversed()), (first, second), matches, strict=True):
-        prior = _prior(own, found, model(view))
-        if prior is None:
-            return pair
-        priors.append(in_frame(own.world_from_frame, pair.size, np.eye(3), prior))
-    return replace(pair, priors=(priors[0], priors[1]))
+    """The pair with what a network expects of both panoramas: as matches confirm it, else as descriptors do, if any."""
+    answers = model(first), model(second)
+    sides = list(zip((pair, pair.reversed()), matches, answers, strict=True))
+    aligned = [align(answer, *_in_world(own, found, ALIGNMENT_SIZE)) for own, found, answer in sides]
+    tried = []
+    if None not in aligned:
+        by_matches = (_prior(*side, each) for side, each in zip(sides, aligned, strict=True) if each is not None)
+        tried.append(_with_priors(pair, *by_matches))
+        if all(each is not None and each.confirming_share >= MIN_CONFIRMING_SHARE for each in aligned):
+            return tried[0]
+    if pair.descriptors is None:
+        return pair
+    for name in answers[0].readings:
+        unscaled = (_as_prior(_unaligned(answer, READINGS[name]), UNCONFIRMED_ERROR) for answer in answers)
+        tried.append(at_best_scale(_with_priors(pair, *unscaled), ALL_LOG_SCALES))
+    return max(tried, key=likeness_of_priors)
 
 
-def _prior(pair: RectifiedPair, matches: DisparityMap, answer: MonocularAnswer) -> DepthPrior | None:
-    """Of the first panorama of a pair, in the orientation of the world; None if too few matches confirm it."""
-    alignment = align(answer, *_in_world(pair, matches, ALIGNMENT_SIZE))
-    if alignment is None or alignment.confirming_share < MIN_CONFIRMING_SHARE:
-        return None
+def _with_priors(pair: RectifiedPair, *priors: DepthPrior) -> RectifiedPair:
+    """Priors of both panoramas, given in the orientation of the world."""
+    first, second = (
+        in_frame(own.world_from_frame, pair.size, np.eye(3), prior)
+        for own, prior in zip((pair, pair.reversed()), priors, strict=True)
+    )
+    return replace(pair, priors=(first, second))
+
+
+def _prior(pair: RectifiedPair, matches: DisparityMap, answer: MonocularAnswer, alignment: Alignment) -> DepthPrior:
+    """Of the first panorama of a pair, in the orientation of the world, corrected by the matches that confirm it."""
     measured, known = _in_world(pair, matches, NETWORK_SIZE)
     expected = alignment.log_inverse_depth(answer.at(pixel_directions(*NETWORK_SIZE)))
     error = max(alignment.error, MIN_LOG_ERROR)
     known &= np.abs(measured - expected) < CORRECTED_ERRORS * error
-    sqrt_inv_depth = np.exp(0.5 * (expected + smooth_from_known(measured - expected, known)))
+    return _as_prior(expected + smooth_from_known(measured - expected, known), error)
+
+
+def _unaligned(answer: MonocularAnswer, reading: Reading) -> Float[np.ndarray, "height width"]:
+    """Logarithms of inverse depth without a shift, and of no known scale: their median is 0."""
+    joined = _joined(reading, answer.at(pixel_directions(*ALIGNMENT_SIZE)))
+    expected = joined.log_inverse_depth(answer.at(pixel_directions(*NETWORK_SIZE)))
+    return np.asarray(expected - np.median(expected))
+
+
+def _as_prior(expected: Float[np.ndarray, "height width"], error: float) -> DepthPrior:
+    """Given logarithms of inverse depth, and their error."""
+    sqrt_inv_depth = np.exp(0.5 * expected)
     tolerance = error * np.maximum(sqrt_inv_depth, MIN_SQRT_INV_DEPTH)
     confidence = np.full(expected.shape, 1.0 - np.exp(-2.0 * TEN_PERCENT / error))
     return DepthPrior(*(np.asarray(each, np.float32) for each in (sqrt_inv_depth, tolerance, confidence)))

@@ -91,6 +91,10 @@ class DepthPrior(NamedTuple):
         """In another frame."""
         return DepthPrior(*(table.bilinear(each) for each in self))
 
+    def scaled(self, factor: np.float32) -> "DepthPrior":
+        """With √(inverse depth) times a factor."""
+        return DepthPrior(factor * self.sqrt_inv_depth, factor * self.tolerance, self.confidence)
+
     def in_rows(self, grid: EpipolarGrid) -> "DisparityPrior":
         """In rows of disparity, for maps in the frame of a pair."""
         ramp = RAMP_SHARE * np.maximum(self.sqrt_inv_depth, MIN_SQRT_INV_DEPTH)
