@@ -193,12 +193,15 @@ def test_a_prior_that_matches_contradict_is_used_where_the_photographs_confirm_i
             inverse_depth, confidence = super().__call__(first, second, towards)
             return inverse_depth * np.geomspace(0.02, 1.0, inverse_depth.shape[1], dtype=np.float32), confidence
 
+    scaled: list[object] = []
+    monkeypatch.setattr(matching_estimator, "at_best_scale", lambda pair: scaled.append(pair) or pair)
     right, wrong, without = (
         MatchingDepthEstimator(MatchingOptions(size=(256, 512)), prior=prior)
         for prior in (*(partial(with_guided_priors, model=model()) for model in (KnowsTheRoom, KnowsAnotherRoom)), None)
     )
     assert all(each.expected is not None for (pair,) in [[*right.candidates(*views)]] for each in pair)
     plain, expecting = wrong.candidates(*views)
+    assert len(scaled) == 1  # of the wrong one alone
     for each, doubted, unasked in zip(plain, expecting, without.features(*views), strict=True):
         assert each.expected is None
         assert doubted.expected is not None
