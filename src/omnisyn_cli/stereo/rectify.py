@@ -165,6 +165,7 @@ class RectifiedPair:
     baseline: float  # metres
     # what is expected of both cameras' depth, each in the frame of its own direction; None for nothing
     priors: tuple[DepthPrior, DepthPrior] | None = None
+    are_priors_candidates: bool = False  # pixels may lie on what is expected itself: most matches are wrong
     # of both images, whose squared distances say how likely two pixels show the same; None: windows are compared
     descriptors: tuple[Descriptors, Descriptors] | None = None
 
@@ -205,6 +206,7 @@ class RectifiedPair:
                 sweep.swap_cameras_in_epipole_frame(self.descriptors[1]),
                 sweep.swap_cameras_in_epipole_frame(self.descriptors[0]),
             ),
+            are_priors_candidates=self.are_priors_candidates,
         )  # fmt: skip
 
     def resized(self, size: tuple[int, int]) -> "RectifiedPair":
