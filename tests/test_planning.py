@@ -11,6 +11,7 @@ import pytest
 
 from interpolation_samples import CHAIN, Hall, edit_poses, job_of, listing, write_entries
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
+from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation import loading
 from omnisyn_cli.interpolation import plan as planning
@@ -27,7 +28,8 @@ from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, pose
 
 def test_the_usual_fallback_fades_the_worst_of_the_pairs_that_are_warned_of() -> None:
     below = {name: RunConfig(fallback=name).faded_below for name in FALLBACKS}
-    assert below["none"] == below["fail"] == 0.0 < below["auto"] < below["crossfade"] == MIN_PAIR_SCORE
+    assert below["none"] == below["fail"] == 0.0 < below["auto"] < below["crossfade"]
+    assert PairConfidence(below["crossfade"], 0.0, 0.0, 0.0).score == pytest.approx(MIN_PAIR_SCORE)
 
 
 def test_depth_comes_from_files_where_all_have_one(tmp_path: Path, pair: Hall) -> None:

@@ -239,7 +239,7 @@ def test_a_renderer_can_be_chosen_for_any_method(hall, renderer):
 @pytest.mark.parametrize(
     ("factor", "parameter", "options", "plain", "change"),
     [(1.5, ":fusion=network", {"fusion": "network"}, "", 0.01),
-     (4.0, ":fallback=crossfade", {"faded_below": 0.3}, ":fallback=none", 0.1)],
+     (4.0, ":fallback=crossfade", {"faded_below": 19.2}, ":fallback=none", 0.1)],
 )  # fmt: skip
 def test_what_the_views_contradict_is_what_the_product_makes_of_it(hall, factor, parameter, options, plain, change):
     """With wrong depth the views contradict each other, and if it is far wrong, their confidence is low."""

@@ -112,7 +112,7 @@ def main() -> None:
         "ghosts": (haunted, {"size": large}, {"size": large, "fuser": keeps_ghosts}),
         "holes": (masked, {"t": 0.01}, {"t": 0.5}), "faded masks": (shown, {"t": 0.01}, {"t": 0.5}),
         "edges": (room, {"fuser": GeometricFuser(SIZE, threads=1)}, {}), "adaptive": (street, {"adaptive": True}, {}),
-        "confidence": (haunted, {"confidence": True}, {"t": 0.5}), "cross-fade": (haunted, {"faded_below": 2.0}, {}),
+        "confidence": (haunted, {"confidence": True}, {"t": 0.5}), "cross-fade": (haunted, {"faded_below": 99.0}, {}),
         "flat": (street, {"size": PerspectiveSize(36, 64, math.radians(90))}, {"size": PerspectiveSize(36, 64, 1.5)}),
         "network": (haunted, {"size": large, "fuser": network, "curve": BRIGHTER}, {"size": large, "curve": BRIGHTER}),
         "one place": (turned, {"t": 0.3}, {"t": 0.5}),

@@ -67,9 +67,9 @@ def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: tuple[V
     """It is the mean of both photographs there, and closer to the truth than what the wrong poses make."""
     first, middle, last = room
     wrong = disturbed(last, 8.0, 0.4)
-    plain, faded = (half_way(first, middle, wrong, KnownDepth(), faded_below=score) for score in (0.0, 0.3))
+    plain, faded = (half_way(first, middle, wrong, KnownDepth(), faded_below=db) for db in (0.0, 19.2))
     assert ws_psnr(faded, middle.image) > ws_psnr(plain, middle.image)
-    good = [half_way(first, middle, last, KnownDepth(), faded_below=score) for score in (0.0, 0.3)]
+    good = [half_way(first, middle, last, KnownDepth(), faded_below=db) for db in (0.0, 19.2)]
     np.testing.assert_array_equal(good[0], good[1])
 
 

@@ -146,7 +146,7 @@ def test_what_a_mask_forbids_does_not_come_back_where_photographs_are_cross_fade
     hole[20:36, 56:72] = True
     wrong = DepthEstimate(np.full(SIZE, 1.2, np.float32), np.ones(SIZE, np.float32))
     views = [replace(garbled(hall_view(pose), hole), known_depth=wrong) for pose in poses]
-    options = SynthesisOptions(SIZE, threads=1, faded_below=0.3)
+    options = SynthesisOptions(SIZE, threads=1, faded_below=19.2)
     pair = SurfaceMethod(KnownDepth(), options).prepare(0, views)
     assert pair.prepared.cross_fade is not None
     assert pair.frame(plan_path(poses, 3)[1]).image.max() < 1.2

@@ -25,18 +25,15 @@ REGION_ROWS = 32  # rows of the coarse grid of regions: about 6°. Set by hand.
 # 0.05 and 0.2 three real pairs gain 0.2 dB, but are torn again.
 GIVE_UP_CONFIDENCE, KEEP_CONFIDENCE = 0.25, 0.45
 MIN_SCORE_DB, MAX_SCORE_DB = 12.0, 36.0  # decibels that score 0 and 1. Set by hand.
-# Root mean square difference over the channels above which two colours are different ones. Set by hand.
-MAX_COLOUR_RMS = 0.1
+MAX_COLOUR_RMS = 0.1  # root mean square difference over the channels above which colours differ. Set by hand.
 CONTOUR_ROWS = 23  # the height of a picture in windows whose structure is compared: some 8 degrees each. Set by hand.
 # Standard deviation of grey values from which on a window has structure, and likeness of the same structure.
 MIN_CONTOUR_CONTRAST, MIN_CONTOUR_LIKENESS = 0.04, 0.4
 # Decibels that the score falls by where everything is doubled, beyond a share that good pairs have as well. Measured on
 # generated pairs, WS-PSNR falls by 2 dB; a contour that is seen twice disturbs more than that says.
 DOUBLING_DB, MAX_GOOD_DOUBLING = 4.0, 0.1
-# Rows and columns in which the weakest place is looked for: cells of 15 degrees, three by three of them at a time.
-WORST_REGION_GRID = (12, 24)
-# Squared error that a pixel counts with which neither layer shows: it is filled with blurred surroundings.
-HOLE_ERROR = 0.05
+WORST_REGION_GRID = (12, 24)  # rows and columns of 15°: the weakest place is three by three of them
+HOLE_ERROR = 0.05  # squared error of a pixel that neither layer shows: it is filled with blurred surroundings
 
 
 def confidence_step(
@@ -59,8 +56,7 @@ def confidence_step(
 class ConfidenceTolerances(NamedTuple):
     """What pixels are judged by, as kernels take it. All set by hand."""
 
-    # confidence of what only one layer shows, however reliable its depth: nothing confirms it
-    one_view_confidence: np.float32 = np.float32(0.6)
+    one_view_confidence: np.float32 = np.float32(0.6)  # of what only one layer shows: nothing confirms it
     depth: np.float32 = np.float32(0.1)  # relative difference of inverse depth at which confidence has fallen to 1/e
     colour: np.float32 = np.float32(0.15)  # root mean square difference of colour at which it has
 
@@ -114,7 +110,6 @@ def low_confidence_regions(confidence: Float32[np.ndarray, "height width"]) -> F
 class PairConfidence:
     """How reliable the frames between two panoramas are."""
 
-    score: float  # in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more, after ``doubling`` has been deducted
     expected: float  # dB, from the mean error of the photographs against each other and of both layers half way
     unseen: float  # share of the sphere that neither layer shows half way
     depth_disagreement: float  # share where both show something, at different distances
@@ -122,6 +117,16 @@ class PairConfidence:
     # the direction, half way and in the frame of the camera there, around which both layers fit worst
     weakest: tuple[float, float, float] = (0.0, 0.0, -1.0)
     doubling: float = 0.0  # share of what has contrast half way, by area, at which the layers show other structures
+
+    @property
+    def scored_db(self) -> float:
+        """What the score is made from: ``expected``, less what doubled contours take; at least 0."""
+        return max(0.0, self.expected - DOUBLING_DB * max(0.0, self.doubling - MAX_GOOD_DOUBLING))
+
+    @property
+    def score(self) -> float:
+        """In [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more."""
+        return min(1.0, max(0.0, (self.scored_db - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
 
     def describe(self) -> dict[str, float]:
         """The values, rounded, for people and for JSON."""
@@ -138,18 +143,13 @@ def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Laye
     # The photographs against each other count as much as the layers half way.
     error = 0.5 * (0.5 * (errors[0] + errors[1]) + errors[2])
     expected = -10.0 * math.log10(max(error, 1e-10))
-    unseen, disagreement, inconsistency = _shares(*middle)
-    doubling = _doubling(*middle)
-    scored = expected - DOUBLING_DB * max(0.0, doubling - MAX_GOOD_DOUBLING)
-    score = min(1.0, max(0.0, (scored - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
-    return PairConfidence(score, expected, unseen, disagreement, inconsistency, _weakest_direction(*middle), doubling)
+    return PairConfidence(expected, *_shares(*middle), _weakest_direction(*middle), _doubling(*middle))
 
 
 def _mean_error(one: Layer, other: Layer) -> float:
     """Mean squared error over the sphere where both show something; 1 where there is nothing to compare."""
     weight = solid_angles(*one.inverse_depth.shape) * _seen(one) * _seen(other)
-    total = float(weight.sum())
-    return float((weight * _squared_difference(one, other)).sum()) / total if total > 0.0 else 1.0
+    return float(np.average(_squared_difference(one, other), weights=weight)) if weight.any() else 1.0
 
 
 def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:

@@ -65,7 +65,7 @@ class TourSummary:
 
     def is_faded(self, index: int) -> bool:
         """Whether the photographs of a pair are cross-faded where its confidence is low; a walk's are everywhere."""
-        return self.pairs[index].score < self.plan.config.faded_below
+        return self.pairs[index].scored_db < self.plan.config.faded_below
 
     def __repr__(self) -> str:
         worst = f", confidence {min(pair.score for pair in self.pairs.values()):.2f}" if self.pairs else ""

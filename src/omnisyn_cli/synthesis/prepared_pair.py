@@ -33,7 +33,7 @@ class SynthesisOptions:
     renderer: RendererClass = MeshRenderer  # draws the surfaces
     cut: Cut = field(default_factory=Cut)  # where meshes are cut
     threads: int | None = None  # at most this many; None is one per core
-    faded_below: float = 0.0  # pairs with a lower score show the photographs, cross-faded, in doubtful regions
+    faded_below: float = 0.0  # pairs of fewer dB (``scored_db``) show the photographs, cross-faded, in doubtful regions
     confidence: bool = False  # give every frame a map of its confidence
     # draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a pixel aside
     adaptive: bool = False
@@ -172,7 +172,7 @@ def prepare_pair(index: int, chain: ChainDepth, options: SynthesisOptions, clock
             lambda: _renderer(second, first, drawn_depths[1], options),
         )
     cross_fade = None
-    if check.confidence.score < options.faded_below:
+    if check.confidence.scored_db < options.faded_below:
         images = [usable_image(view, options) for view in (first, second)]
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]

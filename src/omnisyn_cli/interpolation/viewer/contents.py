@@ -113,7 +113,7 @@ class TourPacker:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
                 self._coarse[surface.index] = coarse_surface(surface)
-        is_ambiguous = pair.cross_check.confidence.score < self._plan.config.faded_below
+        is_ambiguous = pair.cross_check.confidence.scored_db < self._plan.config.faded_below
         gains = _gains(pair.cross_check.curve)
         change = None if is_ambiguous else correction_of(self._plan, pair)
         self._links[pair.index] = {
