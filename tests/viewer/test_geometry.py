@@ -191,7 +191,7 @@ def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Pat
 
 
 def test_a_doubtful_pair_is_a_dissolve_of_both_photographs(shot: Shot, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setitem(FALLBACKS, "auto", 2.0)
+    monkeypatch.setitem(FALLBACKS, "auto", 99.0)
     faded = taken(tmp_path, shot.opened)
     pose = faded.pose(0.25)
     first, second = (rotated_image(view.image, view.pose.rotation, pose.rotation, SIZE) for view in faded.views)
