@@ -36,8 +36,8 @@ MIN_LEVEL_INVERSE_DISTANCE = 0.03  # in 1/baselines: floors and ceilings farther
 # A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row.
 LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 
-# Logarithms of the factors of inverse depth at which what is expected is a candidate, and its extra cost. (Of 23
-# generated walks it is one in eight, which gain 0.3 dB in the mean.)
+# Logarithms of the factors of inverse depth at which what is expected is a candidate, and its extra cost. (Eight of 23
+# generated walks have it, and gain 0.3 dB in the mean.)
 EXPECTED_LOG_FACTORS, EXPECTED_BIAS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3], np.float32), 0.1
 
 
